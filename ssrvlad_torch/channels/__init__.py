@@ -4,10 +4,7 @@ A channel is one file and one line of `CHANNELS`; its class is imported at its f
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 if TYPE_CHECKING:
     from .channel import Channel
@@ -32,7 +29,3 @@ class Column(NamedTuple):
     fingerprint: str
     shape: tuple[int, ...]
     dtype: Literal["float32", "uint8"] = "float32"
-
-    def zeros(self, frames: int) -> npt.NDArray[Any]:
-        """Zeros ``(N, *shape)`` of `dtype`, for the descriptors of N frames."""
-        return np.zeros((frames, *self.shape), self.dtype)

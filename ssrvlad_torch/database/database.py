@@ -10,10 +10,10 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import datetime, timedelta
+from datetime import timedelta
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -23,11 +23,9 @@ import pyarrow.compute as pc
 from ..channels import LABEL_SHAPES, Column
 from ..config import SSRVLADConfig
 from ..files import is_uri
-from ..taxonomy import LabelSpace, label_space, label_space_names
+from ..taxonomy import LabelSpace
 from . import engine, rows
 from .frames import FrameRecord, FrameSet, require_list
-from .metadata import Origin, TableMetadata
-from .rows import DESCRIPTOR, FRAME_SET_COLUMNS, RECORD_COLUMNS, Damage, StoredRecords, schema
 
 if TYPE_CHECKING:
     from lance import LanceDataset
@@ -38,27 +36,15 @@ if TYPE_CHECKING:
     Descriptors = Vectors | Mapping[str, Vectors]
 
 Frames = Sequence[FrameRecord | str]
-Check = Callable[[StoredRecords], None]
-Verb = Literal["append", "merge", "remove"]
-
+Check = Callable[[rows.StoredRecords], None]
 _REMAINS = {"_transactions", "_versions", "data"}
 """What an interrupted `Database.create` leaves."""
-
-
-class Version(NamedTuple):
-    """One version of a database: its number, for ``open``, when it was made, the number of frames
-    in it, and the change that made it."""
-
-    version: int
-    time: datetime
-    frames: int
-    change: str
 
 
 class Database:
     """Descriptors of one fingerprint on disk. Use `create` or `open`.
 
-    Several processes and threads may write at once: their changes are committed one after another.
+    Several processes and threads may write at once: changes are committed one after another.
     Methods that write raise ValueError if the database was opened at a version, and OSError if the
     disk failed; the database is then unchanged. In a process that was forked after a database was
     used, methods raise RuntimeError.
@@ -83,16 +69,13 @@ class Database:
     ) -> None:
         if table is None:
             raise ValueError(f"expected Database.open({path!r}), got Database({path!r})")
-        self.path = path
-        self._read_only = read_only
-        self._lock = threading.RLock()
+        self.path, self._read_only, self._lock = path, read_only, threading.RLock()
         self._use(table)
         self._checked = self.version
 
     def _use(self, table: LanceDataset) -> None:
-        metadata = TableMetadata.of(table.schema, self.path)
+        self._config, self.columns, self.origins = rows.TableMetadata.of(table.schema, self.path)
         self._table, self.version = table, int(table.version)
-        self._config, self.columns, self.origins = metadata
 
     @staticmethod
     def exists(path: str | Path) -> bool:
@@ -116,44 +99,32 @@ class Database:
         columns: Sequence[Column] = (),
     ) -> Database:
         """Creates an empty database in a new or empty folder, or at a URI; a folder in use is a
-        ValueError.
-
-        Args:
-            path: of the folder.
-            config: the settings of the descriptors of label maps, the first channel; a custom label
-                space is stored with them.
-            width: instead of ``config``, the length of descriptors that another method makes.
-            columns: of further channels, with names that no other column has.
-        """
+        ValueError. ``config`` has the settings of the descriptors of label maps, the first channel;
+        a custom label space is stored with them. ``width`` is instead of it the length of
+        descriptors that another method makes; ``columns`` are of further channels, with names that
+        no other column has."""
         if (config is None) == (width is None):
             raise ValueError("expected the config of the descriptors, or the width of custom ones")
         if width is not None and (not hasattr(width, "__index__") or width < 1):
             raise ValueError(f"width: expected an integer from 1, got {width!r}")
-        first = Column(DESCRIPTOR, "", (int(width or 0),))
         if config:
             first = Column(LABEL_SHAPES, config.fingerprint, (config.length,))
-        columns = [first, *columns]
-        names = [column.name for column in columns]
-        if len({*names, *schema([]).names}) < len(names) + len(schema([])):
-            raise ValueError(
-                f"expected unique names of channels that no column has, got {', '.join(names)}"
-            )
+        else:
+            first = Column(rows.DESCRIPTOR, "", (int(width or 0),))
+        schema = rows.new_schema(config, [first, *columns])
         if cls.exists(path):
             raise ValueError(f"{path} is a database already")
         folder = Path(path)
         foreign = folder.is_dir() and {entry.name for entry in folder.iterdir()} - _REMAINS
         if foreign or folder.is_file():
             raise ValueError(f"{path} exists and is not a database; expected a new or empty folder")
-        if config and config.labels_as not in label_space_names():
-            config = dataclasses.replace(config, labels_as=label_space(config.labels_as))
-        metadata = TableMetadata.to_dict(config, columns)
-        return cls(str(path), engine.create(str(path), schema(columns).with_metadata(metadata)))
+        return cls(str(path), engine.create(str(path), schema))
 
     @classmethod
     def open(cls, path: str | Path, version: int | None = None) -> Database:
-        """Opens an existing database; at a ``version`` of `history` read-only, else the newest. One
-        that does not exist, was made by another version of the method, or cannot be read is a
-        ValueError, which says which version can be read."""
+        """Opens a database; at a ``version`` of `history` read-only, else the newest. One that does
+        not exist, was made by another version of the method, or cannot be read is a ValueError,
+        which says which version can be read."""
         text = str(path)
         if not is_uri(text):
             if not cls.exists(path):
@@ -166,29 +137,20 @@ class Database:
         except OSError as error:
             if isinstance(error, engine.PanicError) or "too many open files" in str(error).lower():
                 raise
-            if version is None:
-                earlier = engine.readable_version(text)
-                hint = f"; --as-of {earlier} reads an earlier version" if earlier else ""
-                raise ValueError(f"{text} cannot be opened: {error}{hint}") from error
-            stored = engine.local_versions(text) or [v.version for v in cls.open(text).history()]
-            if version in stored:
-                raise ValueError(f"{text} is damaged in version {version}: {error}") from error
-            span = " to ".join(map(str, dict.fromkeys((stored[0], stored[-1]))))
-            raise ValueError(f"{text} has no version {version}; it has {span}") from error
+            raise ValueError(engine.unreadable(text, version, error)) from error
         return cls(text, table, read_only=version is not None)
 
     @classmethod
     def open_or_create(
         cls, path: str | Path, config: SSRVLADConfig, columns: Sequence[Column] = ()
     ) -> Database:
-        """Opens the database at ``path``, or creates it if it does not exist; one of other settings
-        is a ValueError, see `require`."""
-        if not cls.exists(path):
-            try:
+        """Opens a database of these settings, see `require`, or creates it if there is none."""
+        try:
+            if not cls.exists(path):
                 return cls.create(path, config, columns=columns)
-            except (OSError, ValueError):
-                if not cls.exists(path):  # not created by another process meanwhile
-                    raise
+        except (OSError, ValueError):
+            if not cls.exists(path):  # not created by another process meanwhile
+                raise
         database = cls.open(path)
         database.require(config, columns)
         return database
@@ -198,8 +160,7 @@ class Database:
             return int(self.table().count_rows())
 
     def __bool__(self) -> bool:
-        """True, even without frames."""
-        return True
+        return True  # even without frames
 
     def __repr__(self) -> str:
         names = " and ".join(column.name for column in self.columns)
@@ -220,7 +181,7 @@ class Database:
     def label_spaces(self) -> list[LabelSpace]:
         """The label spaces of the frames, or of the origins of an empty database, each once."""
         keys = self._columns(["origin"])["origin"].unique().to_pylist() or list(self.origins)
-        spaces = (self.origins.get(key, Origin()).label_space for key in keys)
+        spaces = (self.origins.get(key, rows.Origin()).label_space for key in keys)
         return list({space.digest: space for space in spaces if space}.values())
 
     def require(self, config: SSRVLADConfig, columns: Sequence[Column] = ()) -> None:
@@ -246,20 +207,18 @@ class Database:
             f"settings have {config.fingerprint} ({config.preset}): {'; '.join(differing)}"
         )
 
-    def known(self) -> StoredRecords:
-        """The records of all frames, without their descriptors."""
-        return StoredRecords(self._columns(RECORD_COLUMNS))
+    def known(self) -> rows.StoredRecords:
+        """The records of all frames."""
+        return rows.StoredRecords(self._columns(rows.RECORD_COLUMNS))
 
     def folders(self) -> set[tuple[str, str]]:
-        """See `folders_of`."""
+        """See `rows.folders_of`."""
         return rows.folders_of(self._columns(["signature", "sequence"]))
 
     def placed(self) -> tuple[FrameSet, npt.NDArray[np.int64]]:
         """All frames as from `load`, but without descriptors and not verified, and ``(R,)`` the
-        row of each in the order in which rows are stored."""
-        table = self._columns(FRAME_SET_COLUMNS)
-        order = rows.order_of(table)
-        return rows.frame_set(table.take(order)), order
+        place of each in the table."""
+        return rows.in_natural_order(self._columns(rows.FRAME_SET_COLUMNS))
 
     def load(self) -> FrameSet:
         """Loads all frames into memory and verifies every byte; damage is a ValueError that names
@@ -273,11 +232,10 @@ class Database:
         channels = {name: torch.from_numpy(values) for name, values in arrays.items()}
         return dataclasses.replace(frames, channels=channels)
 
-    def damage(self, progress: Callable[[int], object] = lambda _: None) -> list[Damage]:
-        """Reads everything and reports all damage. ``progress`` is called with the number of frames
-        done since the last call."""
-        damage = list[Damage]()
-        for batch in rows.read_rows(self.table(), damage):
+    def damage(self, progress: Callable[[int], object] = lambda _: None) -> list[rows.Damage]:
+        """All damage; ``progress`` is called with the number of frames read since the last call."""
+        damage = list[rows.Damage]()
+        for batch in rows.read_rows(self.table().get_fragments(), damage):
             progress(len(batch))
         return damage
 
@@ -286,37 +244,27 @@ class Database:
         engine.lance()
         return self._table
 
-    def history(self) -> list[Version]:
+    def history(self) -> list[engine.Version]:
         """The versions that are stored, the oldest first."""
-        table = self.table()
         with self._reading():
-            entries: list[Any] = table.versions()
-            return [
-                Version(
-                    entry["version"],
-                    entry["timestamp"],
-                    int(entry["metadata"]["total_rows"]),
-                    engine.change_of(table, entry["version"]),
-                )
-                for entry in entries
-            ]
+            return engine.history(self.table())
 
     def info(self) -> dict[str, Any]:
         """Counts and settings of the database, ready for JSON; rows are not verified."""
         table = self._columns(["sequence", "x", "empty", "origin"])
-        origins = Counter(table["origin"].to_pylist())
-        config = self._config
+        counts, config = Counter(table["origin"].to_pylist()), self._config
+        origins = {key: self.origins.get(key, rows.Origin()) for key in counts}
         return {
             "frames": len(table),
             "sequences": dict(Counter(table["sequence"].to_pylist())),
             "empty": int(np.count_nonzero(table["empty"].to_numpy())),
             "with_pose": int(np.count_nonzero(~np.isnan(table["x"].to_numpy()))),
-            "label_spaces": {str(self.origins.get(k, Origin())): n for k, n in origins.items()},
+            "label_spaces": {str(origins[key]): count for key, count in counts.items()},
             "width": self.columns[0].shape[0],
-            "preset": config.preset if config else None,
+            "preset": config and config.preset,
             "fingerprint": self.fingerprint,
             "channels": {column.name: column.fingerprint for column in self.columns},
-            "config": {**config.to_dict(), "labels_as": config.labels_name} if config else None,
+            "config": config and {**config.to_dict(), "labels_as": config.labels_name},
             "version": self.version,
         }
 
@@ -325,40 +273,35 @@ class Database:
     ) -> str:
         """Stores an origin of label maps, see `Origin`, in one commit, unless it is stored already.
         Returns its key, for `FrameRecord.origin`."""
-        origin = Origin(label_space, segmenter, network)
+        origin = rows.Origin(label_space, segmenter, network)
         if origin.key not in self.origins:
             self._apply(partial(engine.add_metadata, entries=origin.to_entry()))
         return origin.key
 
     def append(self, frames: Frames, descriptors: Descriptors) -> None:
         """Adds new frames in one commit, flushed to disk when this returns. ``frames`` are N
-        records, or only ids: ``<sequence>/<name>``, or a name without ``/``, which neither start
-        nor end with white space. ``descriptors`` are ``(N, *shape)`` for each column by its name,
-        or of the only one; raw: neither summed over time nor centred. A wrong shape, a row that is
-        not finite or whose length does not fit float32, and an id that is invalid or in the
-        database are a ValueError."""
-        self._change(*self._written(frames, descriptors), "append")
+        records, or only ids, see `FrameRecord.of_id`; ``descriptors`` are ``(N, *shape)`` for each
+        column by its name, or of the only one, raw. A wrong shape, a row that is not finite or
+        whose length does not fit float32, and an id that is invalid or stored are a ValueError."""
+        self._change("append", *self._written(frames, descriptors))
 
     def merge(self, frames: Frames, descriptors: Descriptors, check: Check | None = None) -> None:
         """Adds frames and replaces those with the same ids, in one commit. A replaced frame keeps
-        its arrival if the new record has none. Arguments and errors as for `append`; ``check`` is
-        called with the records of the version that is changed, if others have made it since this
-        object last read or wrote the database; an error of it ends the change."""
-        self._require_writable()
+        its arrival if the new record has none. Arguments and errors as for `append`; ``check`` gets
+        the records of the version that is changed, if others have made it since this object last
+        read or wrote the database; an error of it ends the change."""
         stored = self._columns(["frame", "arrival"], engine.open_table(self.path)).to_pydict()
         arrivals = dict(zip(*stored.values(), strict=True))
-        records = [
-            record._replace(arrival=max(record.arrival, arrivals.get(record.frame, -1)))
-            if record.arrival < 0
-            else record
-            for record in _records(frames)
-        ]
-        self._change(*self._written(records, descriptors), "merge", check)
+        records = _records(frames)
+        for row, record in enumerate(records):
+            if record.arrival < 0:
+                records[row] = record._replace(arrival=arrivals.get(record.frame, -1))
+        self._change("merge", *self._written(records, descriptors), check)
 
     def remove(self, frames: Collection[str]) -> None:
         """Removes frames by their ids, in one commit; ignores ids that are not in the database."""
         require_list(frames)
-        self._change(sorted(set(frames)), [], "remove")
+        self._change("remove", sorted(set(frames)))
 
     def _written(
         self, frames: Frames, descriptors: Descriptors
@@ -379,40 +322,38 @@ class Database:
 
     def _change(
         self,
+        verb: Literal["append", "merge", "remove"],
         frames: Sequence[str],
-        fragments: Sequence[FragmentMetadata],
-        verb: Verb,
+        fragments: Sequence[FragmentMetadata] = (),
         check: Check | None = None,
     ) -> None:
         """Appends rows; or merges them, which replaces frames; or removes frames."""
-        self._require_writable()
         ids = pa.table({"frame": pa.array(frames, pa.string())})
 
         def plan(table: LanceDataset) -> Any:
             if check and table.version != self._checked:
-                check(StoredRecords(self._columns(RECORD_COLUMNS, table)))
-            stored = self._columns(["frame"], table)["frame"]
-            existing = ids.filter(pc.is_in(ids["frame"], stored))["frame"]
-            if verb == "append" and existing:
-                raise ValueError(f"frame {existing[0].as_py()!r} is in {self.path} already")
-            if verb == "remove" and not existing:
+                check(rows.StoredRecords(self._columns(rows.RECORD_COLUMNS, table)))
+            stored = ids.filter(pc.is_in(ids["frame"], self._columns(["frame"], table)["frame"]))
+            if verb == "append" and len(stored):
+                raise ValueError(f"frame {stored['frame'][0].as_py()!r} is in {self.path} already")
+            if verb == "remove" and not len(stored):
                 return None
-            return engine.replacement(table, ids if existing else None, fragments)
+            return engine.replacement(table, ids if len(stored) else None, fragments)
 
         if len(ids):
             self._apply(partial(engine.commit, plan=plan, message=f"{verb} {len(ids)} frames"))
 
-    def drop_damaged(self) -> list[Damage]:
+    def drop_damaged(self) -> list[rows.Damage]:
         """Drops damaged rows, and those after a place that cannot be read in the same file, in one
-        commit, and returns the damage; `encode` restores them."""
-        damage = list[Damage]()
+        commit, and returns the damage."""
+        damage = list[rows.Damage]()
         plan = partial(rows.without_damage, damage=damage)
         self._apply(partial(engine.commit, plan=plan, message="drop damaged rows"))
         return damage
 
     def compact(self, keep_days: float = 14) -> None:
         """Joins small files, and deletes versions older than ``keep_days`` with the files that only
-        they need. Who still reads such a version gets an error."""
+        they need; reading such a version is then a ValueError."""
         self._apply(engine.compact)
         self._apply(partial(engine.clean, keep=timedelta(days=keep_days)))
 
@@ -442,7 +383,6 @@ class Database:
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        """Turns errors of Lance into a ValueError in one line."""
         try:
             with engine.lance_errors(ValueError, f"{self.path} is damaged"):
                 yield

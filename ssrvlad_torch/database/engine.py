@@ -18,10 +18,10 @@ import time
 import uuid
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from datetime import timedelta
+from datetime import datetime, timedelta
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -102,12 +102,20 @@ def open_table(uri: str, version: int | None = None) -> LanceDataset:
     return table
 
 
-def readable_version(uri: str) -> int | None:
-    """The newest version of a local table that can be read, if any can."""
-    for version in reversed(local_versions(uri)):
-        with contextlib.suppress(OSError):
-            return int(open_table(uri, version).version)
-    return None
+def unreadable(uri: str, version: int | None, error: OSError) -> str:
+    """Why a version of a table cannot be opened, and which can, in one line."""
+    stored, problem = local_versions(uri), f"{uri} cannot be opened: {error}"
+    if version is None:
+        for earlier in reversed(stored):
+            with contextlib.suppress(OSError):
+                open_table(uri, earlier)
+                return f"{problem}; --as-of {earlier} reads an earlier version"
+        return problem
+    stored = stored or [entry.version for entry in history(open_table(uri))]
+    if version in stored:
+        return f"{uri} is damaged in version {version}: {error}"
+    span = " to ".join(map(str, dict.fromkeys((stored[0], stored[-1]))))
+    return f"{uri} has no version {version}; it has {span}"
 
 
 def local_versions(uri: str) -> list[int]:
@@ -215,7 +223,7 @@ def replacement(
 
 
 def commit(table: LanceDataset, plan: Callable[[LanceDataset], Any], message: str) -> LanceDataset:
-    """A change of a table: commits one change of rows with a message, see `change_of`; ``plan``
+    """A change of a table: commits one change of rows with a message; ``plan``
     returns the operation for one version of the table, ``None`` if nothing is to be done.
 
     Of several commits planned on one version only the first succeeds, and the others are planned
@@ -240,14 +248,28 @@ def commit(table: LanceDataset, plan: Callable[[LanceDataset], Any], message: st
     return changed
 
 
-def change_of(table: LanceDataset, version: int) -> str:
-    """The message of the commit that made a version."""
-    transaction = table.read_transaction(version)
-    if transaction is None:
-        return ""
-    message = (transaction.transaction_properties or {}).get(_MESSAGE)
-    operation = type(transaction.operation).__name__
-    return message or _CHANGES.get(operation, operation.lower())
+class Version(NamedTuple):
+    """One version of a database: its number, for `Database.open`, when it was made, the number of
+    frames in it, and the change that made it."""
+
+    version: int
+    time: datetime
+    frames: int
+    change: str
+
+
+def history(table: LanceDataset) -> list[Version]:
+    """The versions that are stored, the oldest first."""
+    versions, entries = list[Version](), list[Any](table.versions())
+    for entry in entries:
+        number, change = entry["version"], ""
+        if transaction := table.read_transaction(number):
+            operation = type(transaction.operation).__name__
+            message = (transaction.transaction_properties or {}).get(_MESSAGE)
+            change = message or _CHANGES.get(operation, operation.lower())
+        frames = int(entry["metadata"]["total_rows"])
+        versions.append(Version(number, entry["timestamp"], frames, change))
+    return versions
 
 
 def flush_fragments(uri: str, fragments: Iterable[FragmentMetadata]) -> None:

@@ -1,10 +1,14 @@
-"""Frames as rows of the table: written with a checksum, and read with verified ones."""
+"""The table of a database: its metadata (settings, columns, origins of label maps), and frames as
+rows: written with a checksum, and read with verified ones."""
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
+import json
 import math
 from collections import Counter, deque
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -13,7 +17,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from ..channels import Column
-from ..files import natural_key
+from ..config import SSRVLADConfig
+from ..files import InputError, input_errors, natural_key
+from ..taxonomy import LabelSpace, label_space, label_space_names
 from .engine import lance, lance_errors, write_fragments
 from .frames import FrameRecord, FrameSet, checked_pose, folder_of, is_text
 
@@ -22,6 +28,8 @@ if TYPE_CHECKING:
     from lance.fragment import LanceFragment
 
     from ..recognition.matching import Vectors
+
+FORMAT = "ssrvlad-database-6"
 
 DESCRIPTOR = "descriptor"
 """The column of custom descriptors."""
@@ -32,8 +40,93 @@ RECORD_COLUMNS += ["origin", "arrival"]
 FRAME_SET_COLUMNS = ["frame", "sequence", *POSE, "stamp", "empty"]
 """The columns that a `FrameSet` holds beside descriptors."""
 
+_META, _DIGEST, _ORIGIN = "ssrvlad", "ssrvlad-digest", "origin:"
 _MULTIPLIER = 0x9E3779B97F4A7C15
 _BATCH = 4096
+
+
+class Origin(NamedTuple):
+    """The label space of label maps, ``None`` if unknown, and the network that made them, if they
+    were not read from files: its identity, and the name that opens it again, if known, which is not
+    part of the key."""
+
+    label_space: LabelSpace | None = None
+    segmenter: str = ""
+    network: str = ""
+
+    @property
+    def key(self) -> str:
+        """16 hex digits, a hash of `LabelSpace.digest` and the segmenter."""
+        return _digest(json.dumps([self.label_space and self.label_space.digest, self.segmenter]))
+
+    def __str__(self) -> str:
+        name = self.label_space.name if self.label_space else "unknown"
+        return f"{name} by {self.network or self.segmenter}" if self.segmenter else name
+
+    def to_entry(self) -> dict[str, str]:
+        """The origin as an entry of a table's metadata."""
+        space = self.label_space and self.label_space.to_dict()
+        return {_ORIGIN + self.key: json.dumps({**self._asdict(), "label_space": space})}
+
+    @classmethod
+    def of_entry(cls, key: str, text: str) -> Origin:
+        """The origin that `to_entry` wrote."""
+        stored = json.loads(text)
+        space = stored.pop("label_space")
+        origin = cls(space and LabelSpace.from_dict(space), **stored)
+        if not isinstance(origin.network, str) or origin.key != key:
+            raise ValueError(f"origin {key} does not match its content")
+        return origin
+
+
+class TableMetadata(NamedTuple):
+    """A table's metadata: the settings of the first column (or ``None``), the columns of
+    descriptors, and origins by their keys."""
+
+    config: SSRVLADConfig | None
+    columns: tuple[Column, ...]
+    origins: dict[str, Origin]
+
+    @classmethod
+    def of(cls, stored: pa.Schema, path: str) -> TableMetadata:
+        """The metadata in the schema of the table at ``path``. A table that is no database of this
+        format, is damaged, or was made by another version of the method is a ValueError."""
+        with input_errors(path, "damaged, or a database of another version"):
+            entries = {key.decode(): text.decode() for key, text in (stored.metadata or {}).items()}
+            text = entries.get(_META, "{}")
+            content = json.loads(text)
+            form = content.get("format", "")
+            if form != FORMAT and form.startswith("ssrvlad-"):
+                raise InputError(f"{path} has another format, {form}: encode it again")
+            if form != FORMAT:
+                raise InputError(f"{path} is a table of Lance, but not a database of {FORMAT}")
+            if entries.get(_DIGEST) != _digest(text):  # Lance does not notice a flipped byte
+                raise InputError(f"{path} is damaged: the checksum of its settings does not match")
+            columns = tuple(
+                Column(**{**column, "shape": tuple(column["shape"])})
+                for column in content["columns"]
+            )
+            if not stored.equals(schema(columns)):
+                raise InputError(f"{path} has other columns than a database of this version")
+            config = content["config"] and SSRVLADConfig.from_dict(content["config"])
+            space = config and config.labels_as
+            if isinstance(space, str) and space not in label_space_names():
+                raise ValueError(f"label space {space!r}; expected a built-in one")
+            if config and config.fingerprint != columns[0].fingerprint:
+                raise InputError(
+                    f"{path} has fingerprint {columns[0].fingerprint}, made by another version of "
+                    f"the method; the same settings have {config.fingerprint} here: encode it again"
+                )
+            origins = {
+                key: Origin.of_entry(key, entries[name])
+                for name in entries
+                if (key := name.removeprefix(_ORIGIN)) != name
+            }
+        return cls(config, columns, origins)
+
+
+def _digest(text: str) -> str:
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
 def schema(columns: Sequence[Column]) -> pa.Schema:
@@ -47,6 +140,25 @@ def schema(columns: Sequence[Column]) -> pa.Schema:
     }
     kinds["checksum"] = pa.uint64()
     return pa.schema([pa.field(name, kind, nullable=False) for name, kind in kinds.items()])
+
+
+def new_schema(config: SSRVLADConfig | None, columns: Sequence[Column]) -> pa.Schema:
+    """The schema of a new table with its metadata, which has no origins; a custom label space is
+    stored in it. A name of a column that another one has is a ValueError."""
+    names = [column.name for column in columns]
+    if len({*names, *schema([]).names}) < len(names) + len(schema([])):
+        raise ValueError(
+            f"expected unique names of channels that no column has, got {', '.join(names)}"
+        )
+    if config and config.labels_as not in label_space_names():
+        config = dataclasses.replace(config, labels_as=label_space(config.labels_as))
+    content = {
+        "format": FORMAT,
+        "config": config and config.to_dict(),
+        "columns": [column._asdict() for column in columns],
+    }
+    text = json.dumps(content)
+    return schema(columns).with_metadata({_META: text, _DIGEST: _digest(text)})
 
 
 def to_table(
@@ -202,30 +314,25 @@ class Damage(NamedTuple):
     reason: str
 
 
-def read_rows(table: LanceDataset, damage: list[Damage]) -> Iterator[pa.RecordBatch]:
-    """The intact rows in the order in which they are stored; damage is appended to ``damage``."""
-    for fragment in table.get_fragments():
-        yield from read_intact(fragment, damage)
-
-
-def read_intact(fragment: LanceFragment, damage: list[Damage]) -> Iterator[pa.RecordBatch]:
-    """The intact rows of a data file, up to where it cannot be read; its damage is appended to
-    ``damage`` at the end."""
-    intact_rows, reason = 0, ""
-    file = f"data/{fragment.metadata.files[0].path}"
-    try:
-        with lance_errors(ValueError, file):
-            for batch in fragment.to_batches(batch_size=_BATCH):
-                fits = intact(batch)
-                if not fits.all():
-                    frame = batch["frame"][int(np.argmin(fits))].as_py()
-                    reason = reason or f"the checksum of frame {frame!r} differs"
-                intact_rows += int(fits.sum())
-                yield batch if fits.all() else batch.filter(pa.array(fits))
-    except ValueError as error:
-        reason = reason or str(error).removeprefix(f"{file}: ")
-    if reason:
-        damage.append(Damage(file, fragment.metadata.num_rows - intact_rows, reason))
+def read_rows(fragments: Iterable[LanceFragment], damage: list[Damage]) -> Iterator[pa.RecordBatch]:
+    """The intact rows of data files in the order in which they are stored, of each up to where it
+    cannot be read; the damage of a file is appended to ``damage`` at its end."""
+    for fragment in fragments:
+        intact_rows, reason = 0, ""
+        file = f"data/{fragment.metadata.files[0].path}"
+        try:
+            with lance_errors(ValueError, file):
+                for batch in fragment.to_batches(batch_size=_BATCH):
+                    fits = intact(batch)
+                    if not fits.all():
+                        frame = batch["frame"][int(np.argmin(fits))].as_py()
+                        reason = reason or f"the checksum of frame {frame!r} differs"
+                    intact_rows += int(fits.sum())
+                    yield batch if fits.all() else batch.filter(pa.array(fits))
+        except ValueError as error:
+            reason = reason or str(error).removeprefix(f"{file}: ")
+        if reason:
+            damage.append(Damage(file, fragment.metadata.num_rows - intact_rows, reason))
 
 
 def without_damage(table: LanceDataset, damage: list[Damage]) -> Any:
@@ -235,16 +342,41 @@ def without_damage(table: LanceDataset, damage: list[Damage]) -> Any:
     damaged = []
     for fragment in table.get_fragments():
         before = len(damage)
-        deque(read_intact(fragment, damage), maxlen=0)
+        deque(read_rows([fragment], damage), maxlen=0)
         damaged += [fragment] if len(damage) > before else []
     if not damaged:
         return None
-    batches = (batch for fragment in damaged for batch in read_intact(fragment, []))
-    rows = pa.RecordBatchReader.from_batches(table.schema, batches)
+    rows = pa.RecordBatchReader.from_batches(table.schema, read_rows(damaged, []))
     return lance().LanceOperation.Update(
         removed_fragment_ids=[fragment.fragment_id for fragment in damaged],
         new_fragments=write_fragments(table, rows),
     )
+
+
+def in_natural_order(table: pa.Table) -> tuple[FrameSet, npt.NDArray[np.int64]]:
+    """The frames of a table with `FRAME_SET_COLUMNS`, without descriptors, by sequence and name in
+    natural order, and ``(R,)`` the row of each."""
+    coded = pc.dictionary_encode(table["sequence"]).combine_chunks()
+    sequences, codes = coded.dictionary.to_pylist(), coded.indices.to_numpy()
+    rank = {sequence: n for n, sequence in enumerate(sorted(sequences, key=natural_key))}
+    ranks = np.array([rank[sequence] for sequence in sequences], np.int64)[codes]
+    names = pc.replace_substring_regex(table["frame"], "(?s)^.*/", "")
+    if len(pc.unique(pc.replace_substring_regex(names, "[0-9]", "0"))) == 1:  # differ in digits
+        by_name = np.asarray(pc.sort_indices(names)).astype(np.int64)  # by character, faster
+    else:
+        keys = [natural_key(name) for name in names.to_pylist()]
+        by_name = np.array(sorted(range(len(keys)), key=keys.__getitem__), np.int64)
+    order = by_name[np.argsort(ranks[by_name], kind="stable")]
+    ordered = table.take(order)
+    frames = FrameSet(
+        frames=tuple(ordered["frame"].to_pylist()),
+        sequences=tuple(ordered["sequence"].to_pylist()),
+        channels={},
+        poses=np.stack([ordered[axis].to_numpy() for axis in POSE], axis=1),
+        stamps=ordered["stamp"].to_numpy(),
+        empty=ordered["empty"].to_numpy(),
+    )
+    return frames, order
 
 
 def load_descriptors(
@@ -252,8 +384,8 @@ def load_descriptors(
 ) -> dict[str, npt.NDArray[Any]]:
     """``(R, *shape)`` by column: the rows of a table in an order. Damage is a ValueError."""
     rows, done, damage = np.argsort(order), 0, list[Damage]()
-    arrays = {column.name: column.zeros(len(rows)) for column in columns}
-    for batch in read_rows(table, damage):
+    arrays = {column.name: np.zeros((len(rows), *column.shape), column.dtype) for column in columns}
+    for batch in read_rows(table.get_fragments(), damage):
         for column in columns:
             values = matrix(batch[column.name]).reshape(-1, *column.shape)
             arrays[column.name][rows[done : done + len(batch)]] = values
@@ -261,35 +393,3 @@ def load_descriptors(
     if damage:
         raise ValueError(f"{table.uri} is damaged: {damage[0].file}: {damage[0].reason}")
     return arrays
-
-
-def order_of(table: pa.Table) -> npt.NDArray[np.int64]:
-    """The rows sorted by sequence and name, both in natural order."""
-    coded = pc.dictionary_encode(table["sequence"]).combine_chunks()
-    sequences, codes = coded.dictionary.to_pylist(), coded.indices.to_numpy()
-    rank = {sequence: n for n, sequence in enumerate(sorted(sequences, key=natural_key))}
-    ranks = np.array([rank[sequence] for sequence in sequences], np.int64)[codes]
-    names = pc.replace_substring_regex(table["frame"], "(?s)^.*/", "")
-    if _differ_in_digits(names):
-        by_name = np.asarray(pc.sort_indices(names)).astype(np.int64)  # by character, faster
-    else:
-        keys = [natural_key(name) for name in names.to_pylist()]
-        by_name = np.array(sorted(range(len(keys)), key=keys.__getitem__), np.int64)
-    return by_name[np.argsort(ranks[by_name], kind="stable")]
-
-
-def _differ_in_digits(names: pa.ChunkedArray) -> bool:
-    """Whether texts are equal but for digits, which stand at the same places."""
-    return len(pc.unique(pc.replace_substring_regex(names, "[0-9]", "0"))) == 1
-
-
-def frame_set(table: pa.Table) -> FrameSet:
-    """The frames of a table with `FRAME_SET_COLUMNS`, without descriptors."""
-    return FrameSet(
-        frames=tuple(table["frame"].to_pylist()),
-        sequences=tuple(table["sequence"].to_pylist()),
-        channels={},
-        poses=np.stack([table[axis].to_numpy() for axis in POSE], axis=1),
-        stamps=table["stamp"].to_numpy(),
-        empty=table["empty"].to_numpy(),
-    )

@@ -170,7 +170,7 @@ def encode_to_memory(
             frames.append(result)
         progress(1)
     records = [frame.record for frame in frames]
-    none = {channel.column.name: channel.column.zeros(0) for channel in channels}
+    none = {c.column.name: np.zeros((0, *c.shape), c.dtype) for c in channels}
     descriptors = stacked(frames) if frames else none
     poses = [(record.x, record.y, record.heading) for record in records]
     return FrameSet(

@@ -13,8 +13,7 @@ import numpy as np
 
 from ..database.database import Database
 from ..database.frames import FrameRecord, folder_of
-from ..database.metadata import Origin
-from ..database.rows import StoredRecords, folders_of
+from ..database.rows import Origin, StoredRecords, folders_of
 from ..datasets.frame_file import FrameFile
 from ..datasets.names import check_sequences, is_same_folder
 from ..datasets.poses import Pose

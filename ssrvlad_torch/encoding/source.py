@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..database.database import Database
-from ..database.metadata import Origin
+from ..database.rows import Origin
 from ..datasets.dataset import Dataset, Kind
 from ..datasets.frame_files import FrameFile, found_by
 from ..datasets.image_files import find_image_files, read_image

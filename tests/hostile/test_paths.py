@@ -15,8 +15,7 @@ from ssrvlad_torch import Database, SSRVLADConfig
 from ssrvlad_torch.channels import Column
 from ssrvlad_torch.database.exporting import export_database
 from ssrvlad_torch.database.frames import FrameRecord
-from ssrvlad_torch.database.metadata import TableMetadata
-from ssrvlad_torch.database.rows import schema
+from ssrvlad_torch.database.rows import new_schema
 from ssrvlad_torch.encoding.source import origin_of
 from ssrvlad_torch.files import path_within
 from ssrvlad_torch.segmentation.networks import open_network
@@ -94,19 +93,20 @@ def test_a_database_of_links_is_refused(home):
 CONFIG = SSRVLADConfig.from_preset("default", labels_as="camvid-11")
 COLUMN = Column("ssr-vlad", CONFIG.fingerprint, (CONFIG.length,))
 ORIGIN = "origin:0123456789abcdef"
-KEY, DIGEST = TableMetadata.to_dict(CONFIG, [COLUMN])
+SCHEMA = new_schema(CONFIG, [COLUMN])
+KEY, DIGEST = (key.decode() for key in SCHEMA.metadata)
 
 
 def crafted(folder: Path, change: object) -> Path:
     """A table of Lance whose settings, or entries that begin with "origin:", are changed."""
-    entries = TableMetadata.to_dict(CONFIG, [COLUMN])
+    entries = {key.decode(): text.decode() for key, text in SCHEMA.metadata.items()}
     content = json.loads(entries[KEY])
     if isinstance(change, dict) and ORIGIN in change:
         entries |= change
     else:
         text = json.dumps({**content, **change}) if isinstance(change, dict) else str(change)
         entries |= {KEY: text, DIGEST: hashlib.blake2b(text.encode(), digest_size=8).hexdigest()}
-    table = schema([COLUMN]).with_metadata(entries).empty_table()
+    table = SCHEMA.with_metadata(entries).empty_table()
     lance.write_dataset(table, folder)
     return folder
 
