@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, overload
 
@@ -88,20 +89,9 @@ class Map:
     preset: str | None = None
     channels: Sequence[str] | None = None
     version: int | None = None
-
-    def __reduce_ex__(self, protocol: object) -> NoReturn:
-        raise TypeError(f"a Map cannot be copied or pickled: open {self.path} again")
-
-    def __post_init__(self) -> None:
-        self._opened = self.network if isinstance(self.network, Segmenter) else None
-        self._located: LoadedMap | None = None
-        exists = self.version is not None or Database.exists(self.path)
-        self._database = Database.open(self.path, self.version) if exists else None
-        if self._database and self.preset is not None:
-            space = self._database.config.labels_as
-            self._database.require(SSRVLADConfig.from_preset(self.preset, labels_as=space))
-        if self._database and self.channels is not None:
-            chosen_channels(self._database, self.channels)
+    _opened: Segmenter | None = field(default=None, init=False)
+    _database: Database | None = field(default=None, init=False)
+    _loaded: LoadedMap | None = field(default=None, init=False)
 
     @classmethod
     def open(
@@ -134,7 +124,27 @@ class Map:
             raise ValueError(
                 f"network: expected its name, its file or a Segmenter, got {type(network).__name__}"
             )
-        return cls(str(path), network, labels_as, preset, channels, version)
+        town = cls(str(path), network, labels_as, preset, channels, version)
+        town._opened = network if isinstance(network, Segmenter) else None
+        if version is not None or Database.exists(town.path):
+            database = town._database = Database.open(town.path, version)
+            if preset is not None:
+                stored_as = database.config.labels_as
+                database.require(SSRVLADConfig.from_preset(preset, labels_as=stored_as))
+            if channels is not None:
+                chosen_channels(database, channels)
+        return town
+
+    @property
+    def database(self) -> Database:
+        """The database; a ValueError before the first `add`."""
+        if self._database is None:  # before it, or after one that was cut off
+            self._database = Database.open(self.path)
+        return self._database
+
+    def _stored(self) -> Database | None:
+        """The database; ``None`` if there is none."""
+        return self.database if self._database or Database.exists(self.path) else None
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -144,16 +154,8 @@ class Map:
     def __repr__(self) -> str:
         return f"<Map {self.path}: {len(self)} frames>"
 
-    @property
-    def database(self) -> Database:
-        """The database; a ValueError before the first `add`."""
-        return self._stored() or Database.open(self.path)
-
-    def _stored(self) -> Database | None:
-        """The database, opened anew after an `add` that was cut off; ``None`` if there is none."""
-        if self._database is None and Database.exists(self.path):
-            self._database = Database.open(self.path)
-        return self._database
+    def __reduce_ex__(self, protocol: object) -> NoReturn:
+        raise TypeError(f"a Map cannot be copied or pickled: open {self.path} again")
 
     def source(
         self,
@@ -276,18 +278,18 @@ class Map:
             follow: instead of that of ``steps``; ``"no"`` matches single frames.
             single: match each frame without the others, as `locate` does.
         """
-        circle, source, steps = circle_of(near), self._source(frames), steps or Steps()
+        circle = None if near is None else circle_of(near)
+        source, steps = self._source(frames), steps or Steps()
         if not isinstance(steps, Steps):
             raise ValueError(f"expected steps as Steps, got {steps!r}")
         if follow:
             steps = replace(steps, follow=None if follow == "no" else follow)
-        most = max(TOP, len(self))
+        most = max(TOP, len(self.database))
         top = most if isinstance(top, int) and top > most else checked_number("top", top, least=1)
-        answers = search(
+        return search(
             self.database, source, steps, top, temporal, channels, sequences, exclude, circle,
-            progress, single,
+            progress, single, min_confidence, max_wrong,
         )  # fmt: skip
-        return answers.accepted(min_confidence, max_wrong)
 
     @overload
     def locate(  # type: ignore[overload-overlap]
@@ -311,15 +313,13 @@ class Map:
             near: only frames whose pose is in this circle are candidates, such as ``(12.5, -3,
                 50)`` of GPS or odometry. A map without frames there is a ValueError.
         """
-        circle, top = circle_of(near), checked_number("top", top, 1)
+        circle, top = None if near is None else circle_of(near), checked_number("top", top, 1)
         several = isinstance(pictures, Sequence) and not isinstance(pictures, str)
         listed: Sequence[Picture] = pictures if several else [pictures]  # type: ignore[assignment,list-item]
         frames = [pixels_of(picture) for picture in listed]
-        if self._located is None or self._located.version != self.database.version:
-            located = LoadedMap(self.database)
-            self._fitting_segmenter(located.channels)
-            self._located = located
-        answers = self._located.locate(self._segmenter(), frames, top, circle)
+        if self._loaded is None or self._loaded.version != self.database.version:
+            self._loaded = LoadedMap(self.database, self._segmenter)
+        answers = self._loaded.locate(frames, top, circle)
         return answers if several else answers[0]
 
     def tracker(
@@ -340,7 +340,7 @@ class Map:
         if not len(self):
             raise ValueError(f"{self.path} holds no frames yet")
         used, steps = chosen_channels(self.database, channels), steps or Steps(follow="online")
-        network, circle = lambda: self._fitting_segmenter(used), circle_of(near)
+        network, circle = partial(self._segmenter, used), None if near is None else circle_of(near)
         return Tracker(self.database, used, network, self.labels_as, steps, top, circle)
 
     def track(
@@ -432,22 +432,18 @@ class Map:
         files = [FrameInMemory.of(number, array) for number, array in enumerate(arrays)]
         return replace(source, files=files)
 
-    def _segmenter(self) -> Segmenter:
-        """The network, or the one that made the map."""
-        if self._opened is None:
+    def _segmenter(self, channels: Sequence[Channel]) -> Segmenter:
+        """The network, or the one that made the map; one that did not label the map, or has other
+        features, is a ValueError."""
+        segmenter = self._opened
+        if segmenter is None:
             name, labels_as = self.network, self.labels_as
             if not isinstance(name, str):
                 origin = origin_of(self.database)
                 name, labels_as = origin.network, labels_as or origin.label_space
-            segmenter = Segmenter.load(name, labels_as or "auto", cache_folder())
-            require_network(self.database, segmenter)
-            self._opened = segmenter
-        return self._opened
-
-    def _fitting_segmenter(self, channels: Sequence[Channel]) -> Segmenter:
-        """The network; one that did not label the map, or has other features, is a ValueError."""
-        segmenter = self._segmenter()
+            segmenter = Segmenter.load(name, labels_as or AUTO, cache_folder())
         require_network(self.database, segmenter)
         config = replace(self.database.config, labels_as=segmenter.label_space)
         check_segmenter(segmenter, SSRVLAD(config), channels)
+        self._opened = segmenter
         return segmenter

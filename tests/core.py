@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from ssrvlad_torch.native import FOLDER
-from ssrvlad_torch.recognition.confidence import Confidence
+from ssrvlad_torch.recognition.recognise import Confidence
 
 
 @cache

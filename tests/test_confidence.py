@@ -6,8 +6,8 @@ import torch
 from core import chance_of, of_chances
 
 from ssrvlad_torch.native.headers import model
-from ssrvlad_torch.recognition.confidence import accept, answered, estimate
 from ssrvlad_torch.recognition.recognise import recognise_by_scores
+from ssrvlad_torch.search.answers import accept, answered, estimate
 
 
 def drawn_chances(queries: int, right: float, seed: int = 0, ahead: float = 6.0):

@@ -19,11 +19,11 @@ from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.database.frames import FrameRecord, FrameSet
 from ssrvlad_torch.recognition.recognise import Steps
 from ssrvlad_torch.recognition.sweep import COLUMNS
-from ssrvlad_torch.search import shortlist
-from ssrvlad_torch.search.exact import recognise_in
+from ssrvlad_torch.search import exact, shortlist
+from ssrvlad_torch.search.exact import open_shortlist, recognise_in
 from ssrvlad_torch.search.index import Index, MapRows, build, damaged
 from ssrvlad_torch.search.selection import neighbours, select
-from ssrvlad_torch.search.shortlist import Shortlist, open_shortlist
+from ssrvlad_torch.search.shortlist import Shortlist
 from ssrvlad_torch.stages.features import FORM
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
@@ -188,7 +188,7 @@ def test_damaged_rows_are_refused(tmp_path):
 def test_only_large_maps_with_an_index_have_a_shortlist(town, tmp_path, monkeypatch):
     used = channels(town, ALL)
     assert open_shortlist(town, used) == (None, "")
-    monkeypatch.setattr(shortlist, "LEAST_ROWS", ROWS)
+    monkeypatch.setattr(exact, "LEAST_ROWS", ROWS)
     assert isinstance(open_shortlist(town, used)[0], Shortlist)
     bare = Database.create(tmp_path / "bare", CONFIG)
     bare.append([f"a/{n:03d}" for n in range(ROWS)], descriptors(0, ROWS))
@@ -199,7 +199,7 @@ def test_only_large_maps_with_an_index_have_a_shortlist(town, tmp_path, monkeypa
 
 
 def test_commands_and_maps_take_the_index_by_themselves_and_say_so(ssrvlad, tmp_path, monkeypatch):
-    monkeypatch.setattr(shortlist, "LEAST_ROWS", 40)
+    monkeypatch.setattr(exact, "LEAST_ROWS", 40)
     maps, path = write_maps(tmp_path / "monday", range(40)), tmp_path / "drawn.ssrdb"
     rows = [f"monday/{n:03d},{n},0,0" for n in range(40)]
     (tmp_path / "poses.csv").write_text("\n".join(["frame,x,y,heading", *rows]))
@@ -225,7 +225,7 @@ def test_commands_and_maps_take_the_index_by_themselves_and_say_so(ssrvlad, tmp_
     found = json.loads(ssrvlad("evaluate", path, some, *steps, *report)[1])
     assert found["recall_at"]["1"] == 1 and Path(tmp_path, "page.html").exists()
     monkeypatch.undo()
-    monkeypatch.setattr(shortlist, "LEAST_ROWS", 40)
+    monkeypatch.setattr(exact, "LEAST_ROWS", 40)
     town.database.append(["late/0"], descriptors(0, 1))
     lines = ssrvlad("query", path, picture, "--verbose")[2]
     assert any("lacks 1 of 41 frames; ssrvlad db index adds them" in line for line in lines)

@@ -8,10 +8,10 @@ import torch
 
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE, Conditions, SyntheticCity
-from ssrvlad_torch.recognition.confidence import accept, estimate
-from ssrvlad_torch.recognition.motion import SAME_PLACE_ROWS
 from ssrvlad_torch.recognition.recognise import Steps, recognise, references_of
+from ssrvlad_torch.recognition.sequences import SAME_PLACE_ROWS
 from ssrvlad_torch.recognition.sweep import COLUMNS
+from ssrvlad_torch.search.answers import accept, estimate
 
 CITY, FRAMES = 31, 90
 DRIVES = {

@@ -20,9 +20,9 @@ from _markdown import DOCS, Page, head_row, parser, read_csv, row, save, write_c
 from _sure_cases import FRESH, Case, cases, city_cases
 from matplotlib.figure import Figure
 
-from ssrvlad_torch.recognition.confidence import Estimate, accept, estimate
-from ssrvlad_torch.recognition.motion import SAME_PLACE_ROWS
 from ssrvlad_torch.recognition.recognise import Steps, recognise_by_scores
+from ssrvlad_torch.recognition.sequences import SAME_PLACE_ROWS
+from ssrvlad_torch.search.answers import Estimate, accept, estimate
 
 STEPS = {"alone": Steps(follow=None), "online": Steps(follow="online"), "offline": Steps()}
 LEVEL, MUCH = 0.05, 0.1

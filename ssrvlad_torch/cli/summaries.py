@@ -15,9 +15,8 @@ from ..evaluation.measure import Evaluation
 from ..evaluation.metrics import figure_rows, fraction
 from ..evaluation.report import render, write_report
 from ..evaluation.thresholds import SURE_PRECISION, operating_rows, queries_needed
-from ..recognition.confidence import Estimate
 from ..recognition.sequences import MIN_FRAMES
-from ..search.answers import estimate_in_json
+from ..search.answers import Estimate, estimate_in_json
 from .output import note, print_json, print_table, say, weights_in_words
 
 if TYPE_CHECKING:

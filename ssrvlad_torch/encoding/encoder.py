@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -42,9 +44,7 @@ from .results import (
     Progress,
     Skipped,
     Summary,
-    cores,
     do_nothing,
-    stacked,
 )
 
 AHEAD = 3
@@ -135,13 +135,12 @@ def check_segmenter(
     """Raises a ValueError unless a segmenter has the label space of a head, and views of it have
     these channels."""
     for channel in channels:
-        (current,) = new_channels([channel.column.name], head, segmenter)[-1:]
+        current = type(channel).make(head, segmenter)
         if current.column != channel.column:
             raise ValueError(
-                f"stored descriptors by {channel.column.name} are of {channel.column.fingerprint}, "
-                f"got {current.column.fingerprint}: encode again, with the file that will be "
-                "deployed, or use what made them; a module, its ONNX file and another size are "
-                "different networks"
+                f"stored descriptors by {channel.name} are of {channel.fingerprint}, got "
+                f"{current.fingerprint}: encode again, with the file that will be deployed, or use "
+                "what made them; a module, its ONNX file and another size are different networks"
             )
     if segmenter and segmenter.label_space != head.label_space:
         raise ValueError(
@@ -162,16 +161,18 @@ def encode_to_memory(
     """The frames of a label space that could be encoded and those that were skipped, in order, see
     `encode`. ``columns`` are the anchors of channels that can sweep, see `Channel.describe`;
     ``progress`` is called with 1 for each frame."""
-    frames, skipped = list[Encoded](), list[Skipped]()
+    encoded, skipped = list[Encoded](), list[Skipped]()
     for result in encode(Describer(channels, space, columns), files, workers, segmenter):
         if isinstance(result, Skipped):
             skipped.append(result)
         else:
-            frames.append(result)
+            encoded.append(result)
         progress(1)
-    records = [frame.record for frame in frames]
-    none = {c.column.name: np.zeros((0, *c.shape), c.dtype) for c in channels}
-    descriptors = stacked(frames) if frames else none
+    records = [frame.record for frame in encoded]
+    descriptors = {c.name: np.zeros((0, *c.shape), c.dtype) for c in channels}
+    for name in descriptors if encoded else ():
+        descriptors[name] = np.stack([frame.descriptors[name] for frame in encoded])
+    first = next(iter(descriptors.values()))
     poses = [(record.x, record.y, record.heading) for record in records]
     return FrameSet(
         frames=tuple(record.frame for record in records),
@@ -179,8 +180,15 @@ def encode_to_memory(
         channels={name: torch.from_numpy(values) for name, values in descriptors.items()},
         poses=np.array(poses, np.float64).reshape(-1, 3),
         stamps=np.array([record.stamp for record in records], np.float64),
-        empty=np.array([frame.is_empty for frame in frames], np.bool_),
+        empty=np.array([not rows.any() for rows in first], np.bool_),
     ), skipped
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    if sys.platform == "linux":
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def encode(
@@ -293,34 +301,26 @@ class Describer:
 
     def _results(self, batch: Sequence[Item]) -> list[Encoded | Skipped]:
         """The results of frames of one size, which are described one by one if they fail."""
+        views, pictured = list[View](), self.needs(PICTURE)
         try:
-            described = self._described(batch)
+            for item in batch:
+                picture = read_image(item.file) if pictured else None
+                labels = np.asarray(item.labels)
+                views.append(View(item.file.frame, labels, self.space, picture, item.features))
+            described = {c.name: c.describe(views, self.columns).numpy() for c in self.channels}
         except ValueError as error:
             if len(batch) == 1:
                 return [_skipped(batch[0], error)]
             return [result for item in batch for result in self._results([item])]
         encoded = list[Encoded | Skipped]()
-        for row, item in enumerate(batch):
-            file, (height, width) = item.file, np.asarray(item.labels).shape
+        for row, (item, view) in enumerate(zip(batch, views, strict=True)):
+            file, (height, width) = item.file, np.asarray(view.labels).shape
             record = FrameRecord(
                 file.sequence, file.name, *file.pose, file.stamp, item.signature, item.digest,
                 height, width, self.origin,
             )  # fmt: skip
             encoded.append(Encoded(record, {n: values[row] for n, values in described.items()}))
         return encoded
-
-    def _described(self, batch: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
-        """The descriptors of frames of one size, by the names of the channels."""
-        pictured = self.needs(PICTURE)
-        views = []
-        for item in batch:
-            picture = read_image(item.file) if pictured else None
-            labels = np.asarray(item.labels)
-            views.append(View(item.file.frame, labels, self.space, picture, item.features))
-        return {
-            channel.column.name: channel.describe(views, self.columns).numpy()
-            for channel in self.channels
-        }
 
 
 def _skipped(item: Item, reason: object) -> Skipped:

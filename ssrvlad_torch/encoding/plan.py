@@ -17,7 +17,7 @@ from ..database.rows import Origin, StoredRecords, folders_of
 from ..datasets.frame_file import FrameFile
 from ..datasets.names import check_sequences, is_same_folder
 from ..datasets.poses import Pose
-from .results import Encoded, EncodeOptions, Skipped, Summary, stacked
+from .results import Encoded, EncodeOptions, Skipped, Summary
 
 NEW = "new"
 LABEL_SPACE, SEGMENTER = "label space changed", "segmenter changed"
@@ -178,7 +178,11 @@ class Writer(AbstractContextManager["Writer"]):
         frames, self._waiting = self._waiting, []
         if frames:
             check = partial(check_folders, self._plan.files)
-            self._database.merge([frame.record for frame in frames], stacked(frames), check)
+            descriptors = {
+                name: np.stack([frame.descriptors[name] for frame in frames])
+                for name in frames[0].descriptors
+            }
+            self._database.merge([frame.record for frame in frames], descriptors, check)
             reasons = [self._plan.reason(frame.record) for frame in frames]
             self.summary.encoded += reasons.count(NEW)
             self.summary.anew.update(reason for reason in reasons if reason != NEW)

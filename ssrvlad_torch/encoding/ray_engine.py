@@ -15,9 +15,9 @@ from ..datasets.frame_file import FrameFile
 from ..descriptor import SSRVLAD
 from ..files import one_line, requiring
 from ..segmentation.segmenter import Segmenter
-from .encoder import Describer, Item, prepared, segmented_items
+from .encoder import Describer, Item, cores, prepared, segmented_items
 from .plan import Plan, Writer
-from .results import Encoded, EncodeOptions, Skipped, Summary, cores
+from .results import Encoded, EncodeOptions, Skipped, Summary
 
 CHUNK_FRAMES = 1024
 """Number of frames that are encoded and written together."""

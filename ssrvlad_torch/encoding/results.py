@@ -1,13 +1,10 @@
 """The results of encoding: encoded and skipped frames, options and the summary."""
 
-import os
-import sys
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-import numpy as np
 import numpy.typing as npt
 
 from ..database.frames import FrameRecord
@@ -30,21 +27,6 @@ class Encoded(NamedTuple):
     def is_empty(self) -> bool:
         """Whether the descriptor of the first channel is zero."""
         return not next(iter(self.descriptors.values())).any()
-
-
-def stacked(frames: Sequence[Encoded]) -> dict[str, npt.NDArray[Any]]:
-    """``(N, *shape)`` descriptors of frames, at least one, by the names of the channels."""
-    return {
-        name: np.stack([frame.descriptors[name] for frame in frames])
-        for name in frames[0].descriptors
-    }
-
-
-def cores() -> int:
-    """Number of cores that this process may use."""
-    if sys.platform == "linux":
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def do_nothing(_value: object) -> None:

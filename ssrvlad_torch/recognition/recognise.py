@@ -12,10 +12,8 @@ import torch
 from torch import Tensor
 
 from ..native.map import Decision, DescriptorMap
-from .confidence import Confidence
 from .matching import Matches, Vectors, candidates_table, checked_number, real_tensor
-from .motion import Course
-from .sequences import MIN_FRAMES, runs
+from .sequences import MIN_FRAMES, Course, runs
 from .sweep import COLUMNS
 
 
@@ -24,8 +22,8 @@ class Steps:
     """What is done between descriptors and a decision.
 
     Attributes:
-        standardise: subtract the mean of each sequence, see `standardise`. A sequence of fewer
-            than `standardise.MIN_FRAMES` queries, and the references for it, stay raw; so does all
+        standardise: subtract the mean of each sequence, see `sequences`. A sequence of fewer
+            than `sequences.MIN_FRAMES` queries, and the references for it, stay raw; so does all
             for a map of fewer references.
         sweep: use all anchors of queries that have several, see `sweep`.
         follow: place each query by the queries before it (online) or by all (offline) of its
@@ -57,22 +55,39 @@ class Steps:
 AS_PAPER = Steps(standardise=False, sweep=False, follow=None)
 
 
+class Confidence(NamedTuple):
+    """How sure the answers to queries are.
+
+    Attributes:
+        right: ``(Q,)`` float32, the probability that the first candidate is right; 0 without one,
+            and where the map has too few references to say.
+        spread: ``(Q,)`` float32, standard deviation of ``right``, as far as the sequence does not
+            show how often such answers are right.
+        together: ``(Q,)`` float32, how many neighbouring queries err together; 0 without a
+            candidate, and only there.
+    """
+
+    right: Tensor
+    spread: Tensor
+    together: Tensor
+
+
 class Recognised(NamedTuple):
     """The candidates of all queries.
 
     Attributes:
         matches: ``(Q, top)``. Scores of a query that is judged alone are cosines. Scores of a query
             that is followed are probabilities: for the first candidate that of the rows within
-            `motion.SAME_PLACE_ROWS`, for the others that of the row alone. An empty query has no
+            `sequences.SAME_PLACE_ROWS`, for the others that of the row alone. An empty query has no
             candidate.
-        sure: how sure the first candidates are; all 0 with fewer than `standardise.MIN_FRAMES`
+        sure: how sure the first candidates are; all 0 with fewer than `sequences.MIN_FRAMES`
             references.
         used: the steps as a report: `Steps` and the number of references, and by sequence whether
             it was standardised, the width of its sweep, in words how it was followed, and the
             weights of fused channels.
         courses: by sequence, how it runs the map if it was followed.
         follows: ``(Q,)`` bool, whether each query was followed.
-        settled: ``(Q,)`` bool, online whether `standardise.MIN_FRAMES` queries of its sequence came
+        settled: ``(Q,)`` bool, online whether `sequences.MIN_FRAMES` queries of its sequence came
             before; else all.
     """
 
@@ -88,20 +103,23 @@ class Recognised(NamedTuple):
         """``(Q,)`` float32, the probability that the first candidate is right; see `Confidence`."""
         return self.sure.right
 
-    def score_is(self, query: int | None = None) -> str:
-        """What the scores of candidates are, of one query or of all: cosines of queries that were
-        judged alone, fused scores if several channels judged them, probabilities of queries that
-        were followed."""
-        fused = any(self.used["weights"].values())
-        follows = self.follows if query is None else self.follows[query : query + 1]
-        return " or ".join(sorted({score_is(followed, fused) for followed in follows.tolist()}))
+    @property
+    def fused(self) -> bool:
+        """Whether several channels judged the queries."""
+        return any(self.used["weights"].values())
+
+    def score_is(self) -> str:
+        """What the scores of candidates are, see the function of this name."""
+        kinds = {score_is(followed, self.fused) for followed in self.follows.tolist()}
+        return " or ".join(sorted(kinds))
 
     def _repr_html_(self) -> str:
         return candidates_table(*self.matches, confidence=self.confidence)
 
 
 def score_is(followed: bool, fused: bool) -> str:
-    """What the scores of the candidates of a query are, which several channels judged if fused."""
+    """What the scores of the candidates of a query are: probabilities if it was followed, else
+    fused scores if several channels judged it, or cosines."""
     return "probability" if followed else "fused score" if fused else "cosine"
 
 
@@ -221,42 +239,31 @@ def _joined(
     decisions: Mapping[str, Decision], references: int, steps: Steps, top: int
 ) -> Recognised:
     """The decisions about all sequences of queries, by their names, as one."""
-    courses = {
-        name: Course(decision.way, decision.rate, decision.streams) if decision.followed else None
-        for name, decision in decisions.items()
-    }
-    steps_taken = {name: decision.taken for name, decision in decisions.items()}
-    used = {
-        **asdict(steps),
-        "references": references,
-        "standardise": {name: of.standardised for name, of in steps_taken.items()},
-        "sweep": {name: COLUMNS[len(COLUMNS) // 2 + of.width] for name, of in steps_taken.items()},
-        "weights": {n: of.weights if len(of.weights) > 1 else {} for n, of in steps_taken.items()},
-        "follow": {name: _course_in_words(course, steps) for name, course in courses.items()},
-    }
-    columns = {
-        name: torch.from_numpy(
-            np.concatenate([empty, *(getattr(decision, name) for decision in decisions.values())])
-        )
-        for name, empty in (
-            ("scores", np.zeros((0, top), np.float32)),
-            ("rows", np.zeros((0, top), np.int64)),
-            *((name, np.zeros(0, np.float32)) for name in ("right", "spread", "together")),
-            ("follows", np.zeros(0, bool)),
-        )
-    }
-    matches = Matches(columns["scores"], columns["rows"])
-    together = columns["together"].masked_fill(matches.indices[:, 0] < 0, 0)
-    confidence = Confidence(columns["right"], columns["spread"], together)
-    settled = columns["follows"] | True
+    courses = dict[str, Course | None]()
+    by_sequence: dict[str, dict[str, Any]] = {n: {} for n in ("standardise", "sweep", "follow")}
+    used = {**asdict(steps), "references": references, **by_sequence, "weights": {}}
+    for name, decision in decisions.items():
+        course, words = None, "no, following is no surer" if steps.follow else "no"
+        if decision.follows.any():
+            course = Course(decision.way, decision.rate, decision.streams)
+            words = ", ".join(filter(None, (steps.follow, str(course))))
+        taken, courses[name] = decision.taken, course
+        used["follow"][name], used["standardise"][name] = words, taken.standardised
+        used["sweep"][name] = COLUMNS[len(COLUMNS) // 2 + taken.width]
+        used["weights"][name] = taken.weights if len(taken.weights) > 1 else {}
+
+    def column(name: str, of_none: npt.NDArray[Any]) -> Tensor:
+        """Of all queries, also if there are none."""
+        columns = [getattr(decision, name) for decision in decisions.values()]
+        return torch.from_numpy(np.concatenate([of_none, *columns]))
+
+    no_rows, no_floats = np.zeros((0, top), np.int64), np.zeros(0, np.float32)
+    matches = Matches(column("scores", no_rows.astype(np.float32)), column("rows", no_rows))
+    together = column("together", no_floats).masked_fill(matches.indices[:, 0] < 0, 0)
+    confidence = Confidence(column("right", no_floats), column("spread", no_floats), together)
+    follows = column("follows", np.zeros(0, bool))
+    settled = torch.ones_like(follows)
     if steps.follow == "online":
-        numbers = (np.arange(len(of.follows)) >= MIN_FRAMES for of in decisions.values())
-        settled = torch.from_numpy(np.concatenate([np.zeros(0, bool), *numbers]))
-    return Recognised(matches, confidence, used, courses, columns["follows"], settled)
-
-
-def _course_in_words(course: Course | None, steps: Steps) -> str:
-    """How a sequence was followed."""
-    if course is None:
-        return "no, following is no surer" if steps.follow else "no"
-    return ", ".join(filter(None, (steps.follow, str(course))))
+        lengths = [len(decision.follows) for decision in decisions.values()]
+        settled = torch.tensor([n >= MIN_FRAMES for length in lengths for n in range(length)])
+    return Recognised(matches, confidence, used, courses, follows, settled)

@@ -1,8 +1,9 @@
-"""Sequences: which frames stand together, and which sequences share the mean that is subtracted
-(Schubert, Neubert and Protzel, ICRA 2020). It needs no torch."""
+"""Sequences: which frames stand together, how they run a map, and which share the mean that is
+subtracted (Schubert, Neubert and Protzel, ICRA 2020). It needs no torch."""
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
+from typing import NamedTuple
 
 from ..native.headers import model
 
@@ -17,6 +18,30 @@ def runs(sequences: Sequence[str]) -> Iterator[range]:
         last = first + len(list(rows))
         yield range(first, last)
         first = last
+
+
+FORWARDS, BACKWARDS = 1, -1
+"""Ways to run a map."""
+
+SAME_PLACE_ROWS = int(model("Place")["near"])
+"""Rows at most so far apart show the same place."""
+
+
+class Course(NamedTuple):
+    """How queries run a map: `FORWARDS` or `BACKWARDS`, at a rate in rows of the map a
+    frame, and as how many streams whose frames alternate."""
+
+    way: int = FORWARDS
+    rate: float = 1
+    streams: int = 1
+
+    def __str__(self) -> str:
+        words = (
+            "backwards" * (self.way == BACKWARDS),
+            f"at rate {self.rate:g}" * (self.rate != 1),
+            f"{self.streams} streams in turn" * (self.streams != 1),
+        )
+        return ", ".join(word for word in words if word)
 
 
 MIN_FRAMES = int(model("Place")["min_frames"])

@@ -1,4 +1,4 @@
-"""Answers: the candidates of the frames of a source in a map."""
+"""Answers: the candidates of the frames of a source in a map, and how many of them are wrong."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
+from torch.nn.functional import logsigmoid
 
 from ..database.frames import FrameSet
 from ..datasets.frame_file import Skipped
@@ -16,9 +18,8 @@ from ..datasets.names import SequenceFolders
 from ..datasets.poses import Pose
 from ..evaluation.ground_truth_files import PartialTruth, known_matches
 from ..evaluation.thresholds import SURE_PRECISION
-from ..recognition.confidence import Estimate, accept, answered, estimate
 from ..recognition.matching import Matches, candidates_table
-from ..recognition.recognise import Recognised
+from ..recognition.recognise import Confidence, Recognised, score_is
 
 
 class Candidate(NamedTuple):
@@ -74,7 +75,25 @@ def candidates_of(
     ]
 
 
-@dataclass(frozen=True, repr=False)
+class Estimate(NamedTuple):
+    """How many of the accepted answers are wrong, without ground truth.
+
+    Attributes:
+        confidence: the least of an accepted answer; infinite if none is accepted.
+        accepted: number of answers.
+        wrong: estimated fraction of them that is wrong, 0 to 1, the mean of their doubts; 0 if none
+            is accepted, 1 where the map has too few references to say.
+        low, high: ends of its 95 % interval; ``None`` where it would say nothing.
+    """
+
+    confidence: float
+    accepted: int
+    wrong: float
+    low: float | None
+    high: float | None
+
+
+@dataclass(repr=False, eq=False)
 class Answers:
     """The answers to all frames of a source; iterating gives an `Answer` for each.
 
@@ -103,26 +122,26 @@ class Answers:
     def __post_init__(self) -> None:
         sure, least = self.recognised.sure, self.min_confidence
         if self.max_wrong is None:
-            wrong = estimate(sure, least)
+            self.estimate = estimate(sure, least)
+        elif least:
+            raise ValueError("max_wrong chooses the least confidence; expected no min_confidence")
         else:
-            wrong = accept(sure, self.max_wrong)
-            least = wrong.confidence
-        unsure = self.recognised.confidence < least
-        scores, indices = self.recognised.matches
-        scores = scores.clamp(max=1).masked_fill(unsure[:, None], -torch.inf)
-        matches = Matches(scores, indices.masked_fill(unsure[:, None], -1))
-        vars(self).update(matches=matches, estimate=wrong)
+            self.estimate = accept(sure, self.max_wrong)
+            least = self.estimate.confidence
+        unsure, (scores, indices) = (sure.right < least)[:, None], self.recognised.matches
+        scores = scores.clamp(max=1).masked_fill(unsure, -torch.inf)
+        self.matches = Matches(scores, indices.masked_fill(unsure, -1))
 
     def __len__(self) -> int:
         return len(self.queries)
 
     def __iter__(self) -> Iterator[Answer]:
-        sure = self.recognised.confidence.tolist()
-        for number, query in enumerate(self.queries.frames):
-            scores, rows = (column[number].tolist() for column in self.matches)
+        of, fused = self.recognised, self.recognised.fused
+        lists = (*self.matches, of.follows, of.sure.right, of.settled)
+        queries = zip(self.queries.frames, *(column.tolist() for column in lists), strict=True)
+        for query, scores, rows, followed, sure, settled in queries:
             candidates = candidates_of(self.references, scores, rows)
-            kind, settled = self.recognised.score_is(number), bool(self.recognised.settled[number])
-            yield Answer(query, candidates, kind, sure[number], settled=settled)
+            yield Answer(query, candidates, score_is(followed, fused), sure, settled=settled)
 
     def __repr__(self) -> str:
         return f"<Answers: {len(self)} queries, {self.estimate.accepted} accepted>"
@@ -133,8 +152,6 @@ class Answers:
     def accepted(self, min_confidence: float = 0.0, max_wrong: float | None = None) -> Answers:
         """The answers with a confidence of at least ``min_confidence``, or, if ``max_wrong`` is
         given, as many as this fraction of wrong answers permits; the others have no candidate."""
-        if max_wrong is not None and min_confidence:
-            raise ValueError("max_wrong chooses the least confidence; expected no min_confidence")
         return replace(self, min_confidence=min_confidence, max_wrong=max_wrong)
 
     def judged(self, truth: PartialTruth) -> dict[str, Any]:
@@ -163,3 +180,65 @@ class Answers:
 def estimate_in_json(wrong: Estimate) -> dict[str, Any]:
     """The estimate as a mapping; its confidence is ``None`` where no answer is accepted."""
     return {**wrong._asdict(), "confidence": wrong.confidence if wrong.accepted else None}
+
+
+_NOTHING = 0.9
+"""An interval of this width says nothing."""
+
+
+def estimate(sure: Confidence, least: float = 0.0) -> Estimate:
+    """The estimate for answers with a confidence of at least ``least``. The fraction of wrong ones
+    is given the beta distribution whose variance comes from chance, counted in clusters of answers
+    that err together, and from what the sequence does not show."""
+    accepted = answered(sure) & (sure.right >= least)
+    count = int(accepted.sum())
+    if not count:
+        return Estimate(torch.inf, 0, 0.0, 0.0, 0.0)
+    if not sure.right.any():
+        return Estimate(float(least), count, 1.0, None, None)
+    doubts = 1 - sure.right[accepted].double()
+    wrong = float(doubts.mean())
+    by_chance = doubts * (1 - doubts) * sure.together[accepted] / count
+    ends = _beta(wrong, float(sure.spread[accepted].mean()) ** 2 + float(by_chance.mean()))
+    low, high = math.floor(ends[0] * count) / count, math.ceil(ends[1] * count) / count
+    interval = (low, high) if high - low <= _NOTHING else (None, None)
+    return Estimate(float(least), count, wrong, *interval)
+
+
+def accept(sure: Confidence, max_wrong: float) -> Estimate:
+    """The estimate that accepts most answers while it is at most ``max_wrong``, 0 to 1; none if an
+    interval would say nothing."""
+    order = sure.right[answered(sure)].double().sort(descending=True).values
+    permitted = (1 - order).cumsum(0) <= max_wrong * torch.arange(1, len(order) + 1)
+    last = torch.ones_like(permitted)
+    last[:-1] = order[1:] < order[:-1]
+    chosen = (permitted & last).nonzero()[:, 0]
+    most = estimate(sure, float(order[chosen[-1]]) if len(chosen) else torch.inf)
+    return estimate(sure, torch.inf) if most.low is None else most
+
+
+def answered(sure: Confidence) -> Tensor:
+    """``(Q,)`` bool, whether a query has a candidate."""
+    return sure.together > 0
+
+
+def _beta(mean: float, variance: float) -> tuple[float, float]:
+    """The quantiles 0.025 and 0.975 of the beta distribution with a mean and a variance; beyond
+    logits of `_FAR` they are 0 and 1."""
+    mean = min(max(mean, _TINY), 1 - _TINY)
+    size = max(mean * (1 - mean) / max(variance, _TINY**2) - 1, _TINY)
+    logits = torch.linspace(-_FAR, _FAR, 601, dtype=torch.double)
+    log = mean * size * logsigmoid(logits) + (1 - mean) * size * logsigmoid(-logits)
+    scale = float(log.max())
+    inside = (log - scale).exp().cumsum(0) * float(logits[1] - logits[0])
+    before, after = (
+        math.exp(-_FAR * size * share - scale) / (size * share) for share in (mean, 1 - mean)
+    )
+    below = (before + inside) / (before + float(inside[-1]) + after)
+    ends = torch.cat((torch.zeros(1), torch.sigmoid(logits[1:]), torch.ones(1)))
+    quantiles = torch.tensor([0.025, 0.975], dtype=torch.double)
+    low, high = ends[torch.searchsorted(below, quantiles)].tolist()
+    return low, high
+
+
+_TINY, _FAR = 1e-6, 15.0

@@ -3,7 +3,7 @@ index of a large one."""
 
 import dataclasses
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,15 +21,16 @@ from ..encoding.encoder import check_segmenter, encode_to_memory
 from ..encoding.results import Progress, Skipped, do_nothing
 from ..encoding.source import SelectedFrames
 from ..native.map import DescriptorMap
-from ..recognition.recognise import Recognised, Steps, recognise, references_of
+from ..recognition.recognise import Recognised, Steps, recognise
 from ..recognition.sequences import MIN_FRAMES, runs
 from ..recognition.sweep import COLUMNS
 from ..recognition.temporal import temporal_sum
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, label_space
 from .answers import Answer, Answers
+from .index import LEAST_ROWS, is_indexed
 from .selection import Near, Posed, neighbours, select
-from .shortlist import Shortlist, open_shortlist
+from .shortlist import Shortlist
 
 _ALONE, _SURE = Steps(follow=None), 0.9
 
@@ -46,13 +47,16 @@ def search(
     near: Near | Posed | None = None,
     progress: Progress = do_nothing,
     single: bool = False,
+    min_confidence: float = 0.0,
+    max_wrong: float | None = None,
 ) -> Answers:
     """The ``top`` candidates of every frame of a source, label maps, pictures or another database,
     in a database. ``temporal`` is t of the temporal sum of Eq. 3; ``channels`` and ``sequences``
     are names of those that are used, by default all; frames ``exclude`` rows around the query in
     its own sequence are no candidates, nor those of a pose outside ``near``. With ``single`` each
-    frame is matched without the others. A source that lacks a channel, and what does not go
-    together, are a ValueError."""
+    frame is matched without the others. For ``min_confidence`` and ``max_wrong`` see `Answers`. A
+    source that lacks a channel, and what does not go together, are a ValueError."""
+    steps = _ALONE if single else steps
     used = chosen_channels(database, channels)
     signs = [channel.name for channel in used if channel.dtype == "uint8"]
     if temporal and signs:
@@ -61,31 +65,147 @@ def search(
         )
     if not len(database):
         raise ValueError(f"{database.path} holds no frames yet")
-    columns = COLUMNS if steps.sweep or single else ()
-    queries, skipped, folders = queries_of(database, source, used, columns, progress)
+    if source.database:
+        queries, folders = _stored_queries(database, source, source.database, used)
+        skipped = list[Skipped]()
+    else:
+        columns = COLUMNS if steps.sweep else ()
+        space, files = space_of_queries(database, source, used), source.files
+        queries, skipped = encode_to_memory(
+            used, space, files, source.selection.workers, progress, source.segmenter, columns
+        )
+        folders = {(file.folder, file.sequence) for file in files}
     exact = temporal or steps.follow == "online"  # a shortlist is made of all queries
     shortlist, reason = (None, "") if exact else open_shortlist(database, used)
     references = shortlist.frames if shortlist else database.load()
-    where = select(references, sequences)
+    where = np.ones(len(references), bool) if sequences is None else select(references, sequences)
     if near:
         poses = np.where(where[:, None], references.poses, np.nan)
         where &= near.rows(poses, database.path)
     for channel in used if temporal else ():
         for run in runs(references.sequences):
             rows = slice(run.start, run.stop)
-            summed = references.channels[channel.column.name][rows]
+            summed = references.channels[channel.name][rows]
             temporal_sum(summed, references.sequences[rows], temporal, out=summed)
     excluded = None if exclude is None else neighbours(queries.frames, references, exclude)
-    steps = _ALONE if single else steps
     apart = dataclasses.replace(queries, sequences=queries.frames) if single else queries
     recognised = recognise_in(shortlist or references, apart, used, steps, top, where, excluded)
     if near:
         recognised.used["near"] = f"{near}: {where.sum()} frames"
     if shortlist or reason:
         recognised.used["index"] = reason or "candidates of the index"
-    if any(channel.column.name == Features.name for channel in used):
+    if any(channel.name == Features.name for channel in used):
         recognised.used["camera"] = _cameras(queries, shortlist or references, recognised)
-    return Answers(queries, references, recognised, temporal, tuple(skipped), folders)
+    return Answers(
+        queries, references, recognised, temporal, tuple(skipped), folders,
+        min_confidence, max_wrong,
+    )  # fmt: skip
+
+
+def chosen_channels(database: Database, names: Sequence[str] | None = None) -> list[Channel]:
+    """The channels of a database, all or those with these names; others are a ValueError."""
+    stored = [column.name for column in database.columns]
+    refuse_text(names)
+    if names is not None and (missing := [name for name in names if name not in stored]):
+        raise ValueError(
+            f"{database.path} holds {', '.join(stored)} of every frame, not {missing[0]}; encode a "
+            f"new database with --channel {missing[0]}"
+        )
+    head = SSRVLAD(database.config)
+    return channels_of([c for c in database.columns if names is None or c.name in names], head)
+
+
+def space_of_queries(
+    database: Database, source: SelectedFrames, channels: Sequence[Channel]
+) -> LabelSpace:
+    """The label space of a source that is to be described by some channels of a database. One that
+    lacks a channel, and a network whose features are others, are a ValueError."""
+    if not source.segmenter and any(channel.lacks(None) for channel in channels):
+        raise no_channels(database, channels)
+    space = label_space(source.labels_as)
+    head = SSRVLAD(dataclasses.replace(database.config, labels_as=space))
+    check_segmenter(source.segmenter, head, channels)
+    return space
+
+
+def no_channels(database: Database, channels: Sequence[Channel]) -> ValueError:
+    """What is raised where a source lacks channels of pictures."""
+    able = " ".join(f"--channel {c.name}" for c in channels if not c.lacks(None))
+    return ValueError(
+        f"{database.path} holds descriptors of pictures; expected images and --segmenter, or "
+        f"{able or 'channels of label maps'}"
+    )
+
+
+def _stored_queries(
+    database: Database, source: SelectedFrames, queries: Database, channels: Sequence[Channel]
+) -> tuple[FrameSet, SequenceFolders]:
+    """The frames of another database, by some channels, and the folders of their sequences."""
+    if queries.fingerprint != database.fingerprint:
+        raise ValueError(
+            f"{queries.path} has fingerprint {queries.fingerprint or 'none'}, {database.path} has "
+            f"{database.fingerprint or 'none'}: their descriptors do not compare"
+        )
+    if not {channel.column for channel in channels} <= set(queries.columns):
+        raise no_channels(database, channels)
+    frames, name = queries.load(), source.selection.sequence
+    used = {name: frames.channels[name] for name in (c.name for c in channels)}
+    frames = dataclasses.replace(frames, channels=used)
+    if name is None:
+        folders = queries.folders()
+        check_sequences(folders, source.map_folders)
+        return frames, folders
+    if len(set(frames.sequences)) > 1:
+        raise ValueError(f"--sequence names one sequence, {queries.path} holds several")
+    ids = tuple(f"{name}/{name_of(frame)}" for frame in frames.frames)
+    return dataclasses.replace(frames, frames=ids, sequences=(name,) * len(frames)), ()
+
+
+def open_shortlist(database: Database, channels: Sequence[Channel]) -> tuple[Shortlist | None, str]:
+    """The shortlist of a database with an index, from `LEAST_ROWS` frames on; or none, and why,
+    empty for a smaller database and for one without an index."""
+    if len(database) < LEAST_ROWS or not is_indexed(database):
+        return None, ""
+    try:
+        return Shortlist(database, channels), ""
+    except ValueError as error:
+        return None, str(error)
+
+
+def recognise_in(
+    references: FrameSet | Shortlist,
+    queries: FrameSet,
+    channels: Sequence[Channel],
+    steps: Steps,
+    top: int,
+    where: npt.NDArray[np.bool_] | None = None,
+    excluded: npt.NDArray[np.int64] | None = None,
+) -> Recognised:
+    """Candidates of queries among the frames of a map, by some channels; see `recognise`. ``where``
+    ``(R,)`` bool are the rows that may be candidates."""
+    arrays = {name: queries.channels[name] for name in (c.name for c in channels)}
+    if isinstance(references, FrameSet):
+        allowed = None if where is None or where.all() else where
+        town = map_of(references, channels)
+        return recognise(arrays, queries.sequences, town, steps, top, allowed, excluded)
+    allowed = np.ones(len(references.frames), bool) if where is None else where
+
+    def shortlisted(rows: slice) -> DescriptorMap:
+        sequence = {name: values[rows] for name, values in arrays.items()}
+        standardise = steps.standardise and rows.stop - rows.start >= MIN_FRAMES
+        outside = None if excluded is None else excluded[rows]
+        followed = bool(steps.follow)
+        return references.of(sequence, standardise, steps.sweep, followed, top, allowed, outside)
+
+    return recognise(arrays, queries.sequences, shortlisted, steps, top, excluded=excluded)
+
+
+def map_of(references: FrameSet, channels: Sequence[Channel]) -> DescriptorMap:
+    """The frames of a map by some channels, as they are compared."""
+    town = DescriptorMap([len(run) for run in runs(references.sequences)])
+    for channel in channels:
+        town.add(channel.name, references.channels[channel.name].numpy(), channel.trust)
+    return town
 
 
 def _cameras(
@@ -107,57 +227,6 @@ def _cameras(
     return cameras
 
 
-def chosen_channels(database: Database, names: Sequence[str] | None = None) -> list[Channel]:
-    """The channels of a database, all or those with these names; others are a ValueError."""
-    stored = [column.name for column in database.columns]
-    refuse_text(names)
-    if names is not None and (missing := [name for name in names if name not in stored]):
-        raise ValueError(
-            f"{database.path} holds {', '.join(stored)} of every frame, not {missing[0]}; encode a "
-            f"new database with --channel {missing[0]}"
-        )
-    head = SSRVLAD(database.config)
-    return channels_of([c for c in database.columns if names is None or c.name in names], head)
-
-
-def recognise_in(
-    references: FrameSet | Shortlist,
-    queries: FrameSet,
-    channels: Sequence[Channel],
-    steps: Steps,
-    top: int,
-    where: npt.NDArray[np.bool_] | None = None,
-    excluded: npt.NDArray[np.int64] | None = None,
-) -> Recognised:
-    """Candidates of queries among the frames of a map, by some channels; see `recognise`. ``where``
-    ``(R,)`` bool are the rows that may be candidates."""
-    arrays = {name: queries.channels[name] for name in (c.column.name for c in channels)}
-    if isinstance(references, FrameSet):
-        allowed = None if where is None or where.all() else where
-        town = map_of(references, channels)
-        return recognise(arrays, queries.sequences, town, steps, top, allowed, excluded)
-    allowed = np.ones(len(references.frames), bool) if where is None else where
-
-    def shortlisted(rows: slice) -> DescriptorMap:
-        sequence = {name: values[rows] for name, values in arrays.items()}
-        standardise = steps.standardise and rows.stop - rows.start >= MIN_FRAMES
-        outside = None if excluded is None else excluded[rows]
-        followed = bool(steps.follow)
-        return references.of(sequence, standardise, steps.sweep, followed, top, allowed, outside)
-
-    return recognise(arrays, queries.sequences, shortlisted, steps, top, excluded=excluded)
-
-
-def map_of(references: FrameSet, channels: Sequence[Channel]) -> DescriptorMap:
-    """The frames of a map by some channels, as they are compared."""
-    names = [channel.column.name for channel in channels]
-    return references_of(
-        {name: references.channels[name] for name in names},
-        references.sequences,
-        {channel.column.name: channel.trust for channel in channels},
-    )
-
-
 def views_of(
     segmenter: Segmenter,
     pictures: Sequence[Pixels],
@@ -174,102 +243,40 @@ def views_of(
 
 
 class LoadedMap:
-    """The frames of a map in memory, or by the index of a large one, for pictures by themselves.
+    """The frames of a map in memory, or by the index of a large one, for pictures by themselves,
+    which the network labels that ``open_segmenter`` gives for the channels of the map.
 
     Attributes:
-        version, channels: of the database.
+        version: of the database.
     """
 
-    def __init__(self, database: Database) -> None:
+    def __init__(
+        self, database: Database, open_segmenter: Callable[[Sequence[Channel]], Segmenter]
+    ) -> None:
         if not len(database):
             raise ValueError(f"{database.path} holds no frames yet")
-        self.version, self.channels = database.version, chosen_channels(database)
-        shortlist, reason = open_shortlist(database, self.channels)
+        self.version, self._path = database.version, database.path
+        self._channels = chosen_channels(database)
+        self._segmenter = open_segmenter(self._channels)
+        shortlist, reason = open_shortlist(database, self._channels)
         if reason:
             warnings.warn(f"{reason}; all frames are loaded", stacklevel=4)
-        self._references, self._path = shortlist or database.load(), database.path
+        self._references = shortlist or database.load()
 
     def locate(
-        self, segmenter: Segmenter, pictures: Sequence[Pixels], top: int, near: Near | Posed | None
+        self, pictures: Sequence[Pixels], top: int, near: Near | Posed | None
     ) -> list[Answer]:
         """The answers to pictures, each by itself."""
-        references = self._references
+        references, channels = self._references, self._channels
         frames = references if isinstance(references, FrameSet) else references.frames
         where = near.rows(frames.poses, self._path) if near else None
         names, answers = [f"picture/{number}" for number in range(len(pictures))], list[Answer]()
-        for view in views_of(segmenter, pictures, names, self.channels):
-            described = {c.column.name: c.describe([view], COLUMNS) for c in self.channels}
+        for view in views_of(self._segmenter, pictures, names, channels):
+            described = {channel.name: channel.describe([view], COLUMNS) for channel in channels}
             unknown, full = np.full((1, 3), np.nan), bool(next(iter(described.values())).any())
             ids, empty = ((view.frame,), (view.sequence,)), np.array([not full])
             queries = FrameSet(*ids, described, unknown, unknown[:, 0], empty)
             few = min(top, len(frames))
-            recognised = recognise_in(references, queries, self.channels, _ALONE, few, where)
+            recognised = recognise_in(references, queries, channels, _ALONE, few, where)
             answers += Answers(queries, frames, recognised)
         return answers
-
-
-def queries_of(
-    database: Database,
-    source: SelectedFrames,
-    channels: Sequence[Channel],
-    columns: Sequence[int] = (),
-    progress: Progress = do_nothing,
-) -> tuple[FrameSet, list[Skipped], SequenceFolders]:
-    """The frames of a source, the skipped frames, and the folders of the sequences. Frames are
-    described by some channels of the database, from anchors, if any; a source that is a database is
-    loaded."""
-    if source.database:
-        return _loaded(database, source, source.database, channels)
-    space, segmenter = space_of_queries(database, source, channels), source.segmenter
-    files, workers = source.files, source.selection.workers
-    frames, skipped = encode_to_memory(
-        channels, space, files, workers, progress, segmenter, columns
-    )
-    return frames, skipped, {(file.folder, file.sequence) for file in files}
-
-
-def space_of_queries(
-    database: Database, source: SelectedFrames, channels: Sequence[Channel]
-) -> LabelSpace:
-    """The label space of a source that is to be described by some channels of a database. One that
-    lacks a channel, and a network whose features are others, are a ValueError."""
-    if not source.segmenter and any(channel.lacks(None) for channel in channels):
-        raise no_channels(database, channels)
-    space = label_space(source.labels_as)
-    head = SSRVLAD(dataclasses.replace(database.config, labels_as=space))
-    check_segmenter(source.segmenter, head, channels)
-    return space
-
-
-def no_channels(database: Database, channels: Sequence[Channel]) -> ValueError:
-    """What is raised where a source lacks channels of pictures."""
-    able = " ".join(f"--channel {c.column.name}" for c in channels if not c.lacks(None))
-    return ValueError(
-        f"{database.path} holds descriptors of pictures; expected images and --segmenter, or "
-        f"{able or 'channels of label maps'}"
-    )
-
-
-def _loaded(
-    database: Database, source: SelectedFrames, queries: Database, channels: Sequence[Channel]
-) -> tuple[FrameSet, list[Skipped], SequenceFolders]:
-    """The frames of another database, by some channels."""
-    if queries.fingerprint != database.fingerprint:
-        raise ValueError(
-            f"{queries.path} has fingerprint {queries.fingerprint or 'none'}, {database.path} has "
-            f"{database.fingerprint or 'none'}: their descriptors do not compare"
-        )
-    if not {channel.column for channel in channels} <= set(queries.columns):
-        raise no_channels(database, channels)
-    frames, name = queries.load(), source.selection.sequence
-    used = {name: frames.channels[name] for name in (c.column.name for c in channels)}
-    frames = dataclasses.replace(frames, channels=used)
-    if name is None:
-        folders = queries.folders()
-        check_sequences(folders, source.map_folders)
-        return frames, [], folders
-    if len(set(frames.sequences)) > 1:
-        raise ValueError(f"--sequence names one sequence, {queries.path} holds several")
-    ids = tuple(f"{name}/{name_of(frame)}" for frame in frames.frames)
-    named = dataclasses.replace(frames, frames=ids, sequences=(name,) * len(frames))
-    return named, [], ()

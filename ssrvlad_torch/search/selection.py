@@ -17,25 +17,19 @@ from ..evaluation.ground_truth import require_poses
 from ..files import natural_key
 
 
-def select(frames: FrameSet, sequences: Collection[str] | None = None) -> npt.NDArray[np.bool_]:
-    """``(R,)`` bool, the frames of some sequences, by default all; others are a ValueError."""
-    if sequences is None:
-        return np.ones(len(frames), bool)
+def select(frames: FrameSet, sequences: Collection[str]) -> npt.NDArray[np.bool_]:
+    """``(R,)`` bool, the frames of some sequences; names of no sequence are a ValueError."""
     missing = sorted(set(sequences) - set(frames.sequences))
     if missing:
         raise ValueError(f"there is no sequence {missing[0]!r} in the database")
     return np.fromiter((s in sequences for s in frames.sequences), bool, len(frames))
 
 
-def neighbours(
-    queries: Sequence[str], references: FrameSet, reach: int | None
-) -> npt.NDArray[np.int64]:
+def neighbours(queries: Sequence[str], references: FrameSet, reach: int) -> npt.NDArray[np.int64]:
     """The references around each query in its own sequence: ``(Q, 2)`` int64, the first of these
     rows and the one after the last, with the query's own. ``reach`` is the number of frames, from
     0, on each side of the position that the query has or would have among the references, which are
-    in natural order; without, there are none."""
-    if reach is None:
-        return np.zeros((len(queries), 2), np.int64)
+    in natural order."""
     if reach < 0:
         raise ValueError(f"the reach of neighbours must be 0 or more frames, got {reach}")
     starts: dict[str, int] = {}
@@ -119,6 +113,6 @@ Circle = str | Sequence[float] | Posed
 frames of known pose."""
 
 
-def circle_of(near: Circle | None) -> Near | Posed | None:
+def circle_of(near: Circle) -> Near | Posed:
     """The place that a user means."""
-    return near if near is None or isinstance(near, Posed) else Near.of(near)
+    return near if isinstance(near, Posed) else Near.of(near)

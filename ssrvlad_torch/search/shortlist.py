@@ -17,9 +17,8 @@ from ..channels.channel import Channel
 from ..database.database import Database
 from ..native.map import DescriptorMap
 from ..native.map import Shortlist as Rows
-from ..recognition.motion import SAME_PLACE_ROWS
-from ..recognition.sequences import runs, sharing
-from .index import LEAST_ROWS, Index, MapRows, is_indexed, read_rows
+from ..recognition.sequences import SAME_PLACE_ROWS, runs, sharing
+from .index import Index, MapRows, read_rows
 
 MOST, LEAST, ROWS, MOST_ROWS = 300, 40, 12_000, 100_000
 """Candidates of a query, at most and at least, so that all queries have about `ROWS`; and rows that
@@ -43,17 +42,6 @@ STEP, SCANNED = 4, 32
 it is so many of a shorter one: the others are beside their candidates."""
 
 _AT_ONCE, _LEAST = 8, 1e-6
-
-
-def open_shortlist(database: Database, channels: Sequence[Channel]) -> tuple[Shortlist | None, str]:
-    """The shortlist of a database with an index, from `LEAST_ROWS` frames on; or none, and why,
-    empty for a smaller database and for one without an index."""
-    if len(database) < LEAST_ROWS or not is_indexed(database):
-        return None, ""
-    try:
-        return Shortlist(database, channels), ""
-    except ValueError as error:
-        return None, str(error)
 
 
 class Shortlist:
@@ -148,7 +136,7 @@ class Shortlist:
         and weighted by trust."""
         scores = list[Tensor]()
         for channel in self._channels:
-            name = channel.column.name
+            name = channel.name
             of = self._index.coders[name].scores(queries[name], self._codes[name], sweep)
             deviation = of[:, self._sample].std(1, correction=0).clamp(min=_LEAST)
             scores.append(of.mul_(channel.trust / deviation[:, None]))
@@ -168,7 +156,7 @@ class Shortlist:
         of_sample = np.searchsorted(self._sample, rows[in_sample])
         read = self.read(rows[~in_sample])
         for channel in self._channels:
-            name = channel.column.name
+            name = channel.name
             values = np.empty((len(rows), *read[name].shape[1:]), read[name].dtype)
             values[~in_sample], values[in_sample] = read[name], self._sampled[name][of_sample]
             lost = np.stack([mean[name] for mean in means]) if means else None
