@@ -21,24 +21,17 @@ from .datasets.frame_file import FrameInMemory
 from .datasets.image_files import Picture, pixels_of
 from .datasets.label_files import LabelMap
 from .descriptor import SSRVLAD
-from .encoding.encoder import (
-    Describer,
-    channels_to_store,
-    check_segmenter,
-    config_for,
-    encode_to_database,
-)
+from .encoding.encoder import Describer, check_segmenter, encode_to_database, method_for
 from .encoding.named import encode_names
 from .encoding.ray_engine import encode_with_ray
 from .encoding.results import EncodeOptions, Note, Progress, Skipped, Summary, do_nothing
 from .encoding.selection import STDIN, FrameSelection
 from .encoding.source import (
     SelectedFrames,
-    cache_folder,
+    network_of,
     note_other_spaces,
     note_void,
     open_frames,
-    origin_of,
     require_network,
     up_to_date,
 )
@@ -52,8 +45,6 @@ from .search.index import grow
 from .search.material import Material, draw_answers, evaluate_answers, posed_references
 from .search.selection import Circle, circle_of
 from .search.tracker import Tracker
-from .segmentation.cache import remember
-from .segmentation.networks import AUTO
 from .segmentation.segmenter import Segmenter
 from .taxonomy import LabelSpace
 
@@ -63,7 +54,7 @@ if TYPE_CHECKING:
 Frames = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | FrameSelection
 """Folders, globs or files, each folder a sequence; or `FrameSelection`, which says more."""
 
-Engine = Literal["local", "ray"]
+AnyFrames = Frames | SelectedFrames | Sequence[Picture | LabelMap]
 
 
 @dataclass(repr=False, eq=False)
@@ -111,20 +102,17 @@ class Map:
             network: labels pictures; a name, see `open_network`, or a `Segmenter`. Without one,
                 frames are label maps, or pictures of the network that made the map.
             labels_as: label space of the label maps, or of the network's classes.
-            preset: of a new map, ``"default"`` or ``"paper"``; by default ``"default"``.
-            channels: what a new map stores of pictures beside the descriptor of label maps, of
-                `channels.CHANNELS`; by default all that the network gives.
+            preset: of a new map, ``"default"``, if not given, or ``"paper"``.
+            channels: of `channels.CHANNELS`, what a new map stores of pictures; by default all.
             version: of the database, opened read-only; by default the newest.
         """
         if not isinstance(path, str | os.PathLike):
             raise ValueError(f"expected the folder or URI of a map, got {path!r}")
-        if isinstance(network, os.PathLike):
-            network = str(network)
-        if network is not None and not isinstance(network, str | Segmenter):
-            raise ValueError(
-                f"network: expected its name, its file or a Segmenter, got {type(network).__name__}"
-            )
-        town = cls(str(path), network, labels_as, preset, channels, version)
+        named = str(network) if isinstance(network, os.PathLike) else network
+        if not isinstance(named, str | Segmenter | None):
+            kind = type(network).__name__
+            raise ValueError(f"network: expected its name, its file or a Segmenter, got {kind}")
+        town = cls(str(path), named, labels_as, preset, channels, version)
         town._opened = network if isinstance(network, Segmenter) else None
         if version is not None or Database.exists(town.path):
             database = town._database = Database.open(town.path, version)
@@ -148,8 +136,7 @@ class Map:
 
     def __len__(self) -> int:
         """Number of frames."""
-        database = self._stored()
-        return len(database) if database else 0
+        return len(self.database) if self._stored() else 0
 
     def __repr__(self) -> str:
         return f"<Map {self.path}: {len(self)} frames>"
@@ -158,25 +145,18 @@ class Map:
         raise TypeError(f"a Map cannot be copied or pickled: open {self.path} again")
 
     def source(
-        self,
-        frames: Frames,
-        *,
-        compared: bool = False,
-        images: bool = False,
-        live: bool = False,
-        note: Note = do_nothing,
+        self, frames: Frames, compared: bool = False, note: Note = do_nothing, **kind: bool
     ) -> SelectedFrames:
-        """The frames on disk, before the first is read; see `open_frames`."""
+        """The frames on disk, before the first is read; for ``kind`` see `open_frames`."""
         source = open_frames(
-            FrameSelection.of(frames),
+            frames if isinstance(frames, FrameSelection) else FrameSelection.of(frames),
             self.database if compared else self._stored(),
             network=self.network and (self._opened or self.network),
             labels_as=self.labels_as,
             compared=compared,
-            images=images,
-            live=live,
             opened=None if self.network else self._opened,
             note=note,
+            **kind,
         )
         if source.segmenter and not isinstance(frames, FrameSelection):
             self._opened = source.segmenter
@@ -186,11 +166,12 @@ class Map:
         self,
         frames: Frames | SelectedFrames,
         options: EncodeOptions | None = None,
-        engine: Engine = "local",
+        engine: Literal["local", "ray"] = "local",
         note: Note = do_nothing,
     ) -> Summary:
         """Adds frames that the map lacks, and those whose file, pose or labels have changed. A new
-        map that stays without frames is deleted.
+        map that stays without frames is deleted. No frames, and frames that do not fit the map, are
+        a ValueError; a map that cannot be written is an OSError.
 
         Args:
             frames: folders, globs or files of label maps, or of pictures with a network. The poses
@@ -198,38 +179,32 @@ class Map:
             options: workers, pruning, and callbacks.
             engine: threads of this process, or Ray.
             note: gets what the user should know.
-
-        No frames, and frames that do not fit the map, are a ValueError; a map that cannot be
-        written is an OSError."""
+        """
         options = options or EncodeOptions()
         if self.version is not None:
             raise ValueError(f"{self.path} was opened as of version {self.version}, read-only")
         source = frames if isinstance(frames, SelectedFrames) else self.source(frames, note=note)
-        if options.gpus and not source.segmenter:
+        network, stored = source.segmenter, self._stored()
+        if options.gpus and not network:
             raise ValueError("--gpus needs --engine ray and --segmenter")
-        stored = self._stored()
-        head = SSRVLAD(config_for(stored, self.preset, source.labels_as))
-        beside = channels_to_store(stored, head, source.segmenter, self.channels, note)
-        new = stored is None
-        if new:
+        labels_as, names = source.labels_as, self.channels
+        head, beside = method_for(stored, self.preset, labels_as, network, names, note)
+        if stored is None:
             note_void(source, note)
-        run = encode_with_ray if engine == "ray" else encode_to_database
-        columns = [channel.column for channel in beside]
         self._database = None  # until all is written
+        columns = [channel.column for channel in beside]
         database = Database.open_or_create(self.path, head.config, columns)
+        encode = encode_with_ray if engine == "ray" else encode_to_database
         try:
-            summary = run(head, source.files, database, options, source.segmenter)
+            summary = encode(head, source.files, database, options, network)
         except BaseException:
-            if new:
+            if stored is None:
                 discard_empty(self.path)
             raise
-        if new and not len(database):
+        if stored is None and not len(database):
             discard_empty(self.path)
             return summary
         self._database = database
-        if source.segmenter and source.segmenter.state:
-            network = source.segmenter
-            remember(network.name, network.state, network.key(), cache_folder())
         grow(database)
         note_other_spaces(database, head.label_space, note)
         return summary
@@ -238,17 +213,13 @@ class Map:
         self, frames: FrameSelection, complete: bool = False, prune: bool = False
     ) -> Summary | None:
         """What `add` of pictures returns where it has nothing to do, without opening the network;
-        ``None`` where there is something to do, or it cannot be told. For ``complete`` and
-        ``prune`` see `EncodeOptions`; errors as for `add`."""
-        database, name = self._stored(), frames.segmenter or self.network
-        if database is None or not isinstance(name, str) or frames.layout:
-            return None
-        labels_as = frames.labels_as or self.labels_as or AUTO
-        return up_to_date(frames, database, name, labels_as, complete, prune)
+        else ``None``. For ``complete`` and ``prune`` see `EncodeOptions`; errors as for `add`."""
+        network, labels_as = frames.segmenter or self.network, frames.labels_as or self.labels_as
+        return up_to_date(frames, self._stored(), network, labels_as, complete, prune)
 
     def query(
         self,
-        frames: Frames | SelectedFrames | Sequence[Picture | LabelMap],
+        frames: AnyFrames,
         steps: Steps | None = None,
         top: int = 5,
         *,
@@ -263,9 +234,9 @@ class Map:
         single: bool = False,
         progress: Progress = do_nothing,
     ) -> Answers:
-        """Finds a sequence, or any frames, in the map. It is found far better as a whole: give its
-        folder, not its pictures one by one. No frames, frames that do not fit the map, and a map
-        without poses in the circle are a ValueError.
+        """Finds a sequence, or any frames, in the map; far better a whole folder than pictures one
+        by one. No frames, frames that do not fit the map, and a map without poses in the circle are
+        a ValueError.
 
         Args:
             frames: as for `add`, or a database; or a list of pictures in memory, see `locate`, or
@@ -278,7 +249,7 @@ class Map:
             follow: instead of that of ``steps``; ``"no"`` matches single frames.
             single: match each frame without the others, as `locate` does.
         """
-        circle = None if near is None else circle_of(near)
+        circle = near if near is None else circle_of(near)
         source, steps = self._source(frames), steps or Steps()
         if not isinstance(steps, Steps):
             raise ValueError(f"expected steps as Steps, got {steps!r}")
@@ -306,14 +277,14 @@ class Map:
         unless it is large and has an index, see ``ssrvlad db index``.
 
         Args:
-            pictures: one picture or a sequence of them: ``(H, W, 3)`` uint8 in RGB, images of
-                Pillow, or image files. A missing file is a FileNotFoundError.
-            top: number of candidates of each, which are given at any confidence; none if the
-                picture or every frame is empty.
+            pictures: one or several: ``(H, W, 3)`` uint8 in RGB, images of Pillow, or image files.
+                A missing file is a FileNotFoundError.
+            top: number of candidates of each, at any confidence; none if the picture or every frame
+                is empty.
             near: only frames whose pose is in this circle are candidates, such as ``(12.5, -3,
                 50)`` of GPS or odometry. A map without frames there is a ValueError.
         """
-        circle, top = None if near is None else circle_of(near), checked_number("top", top, 1)
+        circle, top = circle_of(near), checked_number("top", top, 1)
         several = isinstance(pictures, Sequence) and not isinstance(pictures, str)
         listed: Sequence[Picture] = pictures if several else [pictures]  # type: ignore[assignment,list-item]
         frames = [pixels_of(picture) for picture in listed]
@@ -331,17 +302,13 @@ class Map:
     ) -> Tracker:
         """Localises a sequence while it comes: pictures or label maps, one by one. The map is
         loaded, and stays as it is; one without frames, or none in the circle, is a ValueError.
-
-        Args:
-            steps: between descriptors and a decision; ``follow`` must be online, with a ``delay``
-                of so many later frames that an answer waits for. By default all, without a delay.
-            top, near, channels: as for `query`.
-        """
+        ``follow`` of the steps must be online, with a ``delay`` of so many later frames that an
+        answer waits for, by default none. Other arguments are as for `query`."""
         if not len(self):
             raise ValueError(f"{self.path} holds no frames yet")
         used, steps = chosen_channels(self.database, channels), steps or Steps(follow="online")
-        network, circle = partial(self._segmenter, used), None if near is None else circle_of(near)
-        return Tracker(self.database, used, network, self.labels_as, steps, top, circle)
+        network = partial(self._segmenter, used)
+        return Tracker(self.database, used, network, self.labels_as, steps, top, circle_of(near))
 
     def track(
         self,
@@ -353,9 +320,8 @@ class Map:
         channels: Sequence[str] | None = None,
         note: Note = do_nothing,
     ) -> Iterator[Answer | Skipped]:
-        """The answers to files whose ``names`` come one by one, each as soon as it is known, and
-        the files that could not be read; ``frames`` says how they are read, see
-        `FrameSelection.is_live`. Other arguments and errors as for `tracker`."""
+        """The answers to files whose ``names`` come one by one, and the files that could not be
+        read; ``frames`` says how. Other arguments and errors as for `tracker`."""
         database, tracker = self.database, self.tracker(steps, top, near, channels)
         pictured = any(channel.lacks(None) for channel in tracker.channels)
         source = self.source(frames, compared=True, images=pictured, live=True, note=note)
@@ -366,7 +332,7 @@ class Map:
 
     def evaluate(
         self,
-        frames: Frames | SelectedFrames | Sequence[Picture | LabelMap],
+        frames: AnyFrames,
         steps: Steps | None = None,
         *,
         ground_truth: Path | None = None,
@@ -385,38 +351,27 @@ class Map:
             ground_truth: a file of true matches, see ``ssrvlad evaluate --help``; by default that
                 of the data set.
             tolerance_metres, tolerance_degrees, tolerance_frames: instead of it, the largest
-                distance of a true match, by the poses or in frames. By the poses, frames of unknown
-                pose are left out.
+                distance of a true match. By the poses, frames of unknown pose are left out.
             convention: of the metrics.
             note: gets what is left out.
         """
         source = self._source(frames)
         declared = source.dataset.truth if source.dataset else None
-        definition = GroundTruth.chosen(
-            declared, ground_truth, tolerance_metres, tolerance_degrees, tolerance_frames
-        )
+        tolerances = tolerance_metres, tolerance_degrees, tolerance_frames
+        definition = GroundTruth.chosen(declared, ground_truth, *tolerances)
         if settings.get("near") is None:
             settings["near"] = posed_references(definition, source, self.database, note)
         answers = self.query(source, steps, TOP, **settings)
-        material = self._material(answers, source)
+        material = Material.of(self.database, answers, source)
         return evaluate_answers(answers, material, definition, convention, note)
 
     def draw(self, answers: Answers, frames: Frames | SelectedFrames) -> Figure:
-        """A figure of answers of `query` to frames: where the sequence is in the map, and some of
-        the frames beside their answers. It needs the extra ``eval`` (matplotlib)."""
-        return draw_answers(answers, self._material(answers, self._source(frames)))
+        """A figure of answers of `query` to frames: where they are in the map, and some beside
+        their answers. It needs the extra ``eval`` (matplotlib)."""
+        return draw_answers(answers, Material.of(self.database, answers, self._source(frames)))
 
-    def _material(self, answers: Answers, source: SelectedFrames) -> Material:
-        """What can be shown of the frames of answers."""
-        [channel] = chosen_channels(self.database, [next(iter(answers.queries.channels))])
-        sides = answers.references, answers.queries.descriptors
-        return Material(self.database, channel, *sides, source)
-
-    def _source(
-        self, frames: Frames | SelectedFrames | Sequence[Picture | LabelMap]
-    ) -> SelectedFrames:
+    def _source(self, frames: AnyFrames) -> SelectedFrames:
         """The frames to be compared with the map, which must exist."""
-        _ = self.database
         if isinstance(frames, SelectedFrames):
             return frames
         listed: Any = frames if isinstance(frames, Sequence) and not isinstance(frames, str) else ()
@@ -433,15 +388,9 @@ class Map:
         return replace(source, files=files)
 
     def _segmenter(self, channels: Sequence[Channel]) -> Segmenter:
-        """The network, or the one that made the map; one that did not label the map, or has other
-        features, is a ValueError."""
-        segmenter = self._opened
-        if segmenter is None:
-            name, labels_as = self.network, self.labels_as
-            if not isinstance(name, str):
-                origin = origin_of(self.database)
-                name, labels_as = origin.network, labels_as or origin.label_space
-            segmenter = Segmenter.load(name, labels_as or AUTO, cache_folder())
+        """The network, or the one that made the map; one with which the channels of the map do not
+        compare is a ValueError."""
+        segmenter = self._opened or network_of(self.database, self.network, self.labels_as)
         require_network(self.database, segmenter)
         config = replace(self.database.config, labels_as=segmenter.label_space)
         check_segmenter(segmenter, SSRVLAD(config), channels)

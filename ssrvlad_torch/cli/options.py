@@ -139,31 +139,20 @@ class AnswerOptions:
         "Use only candidates whose pose is at most METRES from X, Y, in metres of the map.",
         metavar="X,Y,METRES",
     )
-    channel: list[str] | None = option(
+    channels: list[str] | None = option(
         "Use only this channel of the database: ssr-vlad (label maps), features or hog, see "
         "ssrvlad encode; can be repeated. Default: all that it has.",
+        "--channel",
         hidden=True,
     )
 
-    def checked(self, typed: Collection[str]) -> Self:
-        """The options. Those that contradict each other are a ValueError that names them; ``typed``
-        are the names of the options on the command line."""
+    def __post_init__(self) -> None:
         if self.near is not None:
             from ..search.selection import Near
 
             Near.of(self.near)
-        if "max_wrong" in typed and "min_confidence" in typed:
+        if self.max_wrong is not None and self.min_confidence:
             raise ValueError("--max-wrong chooses the least confidence; leave out --min-confidence")
-        return self
-
-    def settings(self) -> dict[str, Any]:
-        """What `Map.query` takes beside steps and frames."""
-        return {
-            "channels": self.channel,
-            "near": self.near,
-            "min_confidence": self.min_confidence,
-            "max_wrong": self.max_wrong,
-        }
 
 
 @dataclass(frozen=True)
@@ -186,26 +175,34 @@ class RecognitionOptions(StepOptions, AnswerOptions):
     )
 
     def checked(self, typed: Collection[str]) -> Self:
-        """As of `AnswerOptions`, with all that `as_paper` means."""
-        super().checked(typed)
+        """The options, with all that `as_paper` means; of the names of options on the command line,
+        ``typed``, those that contradict it are a ValueError."""
         if not self.as_paper:
             return self
         paper: dict[str, Any] = {"standardise": False, "sweep": False, "follow": "no", "delay": 0}
-        paper |= {"channel": [LABEL_SHAPES], "temporal": PAPER_REACH}
+        paper |= {"channels": [LABEL_SHAPES], "temporal": PAPER_REACH}
         contradicting = [
-            name for name, value in paper.items() if name in typed and getattr(self, name) != value
+            "--channel" if name == "channels" else f"--{name}"
+            for name, value in paper.items()
+            if name in typed and getattr(self, name) != value
         ]
         if contradicting:
-            names = " and ".join(f"--{name}" for name in contradicting)
             raise ValueError(
-                f"--as-paper means --no-standardise --no-sweep --follow no --temporal "
-                f"{PAPER_REACH} --channel {LABEL_SHAPES}; it contradicts {names}"
+                f"--as-paper means --no-standardise --no-sweep --follow no --temporal {PAPER_REACH}"
+                f" --channel {LABEL_SHAPES}; it contradicts {' and '.join(contradicting)}"
             )
         return replace(self, **paper)
 
     def settings(self) -> dict[str, Any]:
-        """What `Map.query` takes beside steps and frames."""
-        return {"temporal": self.temporal or 0, **super().settings()}
+        """What `Map.query` takes of them."""
+        return {
+            "steps": self.steps(),
+            "temporal": self.temporal or 0,
+            "channels": self.channels,
+            "near": self.near,
+            "min_confidence": self.min_confidence,
+            "max_wrong": self.max_wrong,
+        }
 
 
 @dataclass(frozen=True)

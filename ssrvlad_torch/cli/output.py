@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
@@ -32,21 +33,15 @@ _SECONDS, _LINE_SECONDS = 0.2, 15.0
 progress where there is no terminal."""
 
 
-class _Stderr:
-    """Stands for ``sys.stdout`` while a command runs: stderr, which knows where results go."""
-
-    def __init__(self, results: TextIO) -> None:
-        self.results = results
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(sys.stderr, name)
+_RESULTS: ContextVar[TextIO] = ContextVar("results")
+"""Where results go while a command runs, in place of ``sys.stdout``."""
 
 
 @contextmanager
 def results_alone() -> Iterator[None]:
     """While it lasts, only this module prints on stdout, also by its file descriptor: that is then
     stderr, and results go to a copy of it."""
-    results = _results()
+    results = _RESULTS.get(sys.stdout)
     try:
         is_stdout = results.fileno() == 1
     except (AttributeError, OSError):  # none, or a stream in memory
@@ -59,12 +54,9 @@ def results_alone() -> Iterator[None]:
             results = stack.enter_context(copy)
             os.dup2(2, 1)
             stack.callback(os.dup2, results.fileno(), 1)
-        stack.enter_context(redirect_stdout(_Stderr(results)))
+        stack.callback(_RESULTS.reset, _RESULTS.set(results))
+        stack.enter_context(redirect_stdout(sys.stderr))
         yield
-
-
-def _results() -> TextIO:
-    return getattr(sys.stdout, "results", sys.stdout)
 
 
 def note(message: str) -> None:
@@ -75,7 +67,7 @@ def note(message: str) -> None:
 def say(text: object, file: TextIO | None = None) -> None:
     """Prints one line, by default on stdout. Unprintable characters, such as a newline in the name
     of a file, are escaped."""
-    print(printable(text), file=file or _results(), flush=True)
+    print(printable(text), file=file or _RESULTS.get(sys.stdout), flush=True)
 
 
 class Bar:
@@ -152,17 +144,18 @@ def print_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
         table.add_column(cell(name))
     for row in rows:
         table.add_row(*map(cell, row))
-    console = Console(file=_results(), width=None if _results().isatty() else _WIDE)
+    results = _RESULTS.get(sys.stdout)
+    console = Console(file=results, width=None if results.isatty() else _WIDE)
     with console.capture() as captured:
         console.print(table)
-    print(captured.get(), end="", file=_results())
+    print(captured.get(), end="", file=results)
 
 
 def print_json(value: Mapping[str, Any]) -> None:
     """Prints one object on one line. A number that is not finite, such as a metric without a value,
     becomes null."""
     finite = json.loads(json.dumps(value), parse_constant=lambda _: None)
-    print(json.dumps(finite), file=_results(), flush=True)
+    print(json.dumps(finite), file=_RESULTS.get(sys.stdout), flush=True)
 
 
 def weights_in_words(weights: Sequence[Mapping[str, float]]) -> list[str]:

@@ -33,13 +33,14 @@ def print_answer(answer: Answer, verbose: bool, as_json: bool, of: Answers | Non
             facts |= {"temporal": of.temporal, "steps": of.recognised.used, "estimate": estimate}
         print_json(facts)
         return
-    frames = (f"{c.frame} {c.score:.4f}" if verbose else c.frame for c in answer.candidates)
-    facts_in_words = [answer.score_is] if verbose else []
-    facts_in_words += [f"confidence {answer.confidence:.2f}"]
-    if answer.candidates:
-        facts_in_words += _pose_in_words(answer.candidates[0].pose)
-    listed = ", ".join(frames) or "no candidate"
-    say(f"{answer.query}: {listed} ({', '.join(facts_in_words)})")
+    frames = [f"{c.frame} {c.score:.4f}" if verbose else c.frame for c in answer.candidates]
+    words = [answer.score_is] if verbose else []
+    words += [f"confidence {answer.confidence:.2f}"]
+    if answer.candidates and not math.isnan((pose := answer.candidates[0].pose).x):
+        words += [f"x {pose.x:.1f} m, y {pose.y:.1f} m"]
+        if not math.isnan(pose.heading):
+            words += [f"heading {math.degrees(pose.heading):.0f} degrees"]
+    say(f"{answer.query}: {', '.join(frames) or 'no candidate'} ({', '.join(words)})")
 
 
 def place_in_json(answer: Answer, of: Answers) -> dict[str, Any]:
@@ -56,20 +57,10 @@ def place_in_json(answer: Answer, of: Answers) -> dict[str, Any]:
     }
 
 
-def _pose_in_words(pose: Pose) -> list[str]:
-    """What is known of a pose."""
-    if math.isnan(pose.x):
-        return []
-    position = [f"x {pose.x:.1f} m, y {pose.y:.1f} m"]
-    if math.isnan(pose.heading):
-        return position
-    return [*position, f"heading {math.degrees(pose.heading):.0f} degrees"]
-
-
 def print_estimate(answers: Answers, verbose: bool) -> None:
     """Prints how many answers are wrong, and how they were found, on stderr."""
-    used = answers.recognised.used
-    note(f"{estimate_in_words(answers.estimate)}. {matched_in_words(used)}; {_details(verbose)}")
+    used, details = answers.recognised.used, _DETAILS[verbose]
+    note(f"{estimate_in_words(answers.estimate)}. {matched_in_words(used)}; {details}")
     if any(camera["other_view"] for camera in used.get("camera", {}).values()):
         note(
             "the field of view of the queries seems to differ from that of the map; answers may be "
@@ -79,8 +70,7 @@ def print_estimate(answers: Answers, verbose: bool) -> None:
         note(steps_in_words(used, answers.temporal))
 
 
-def _details(verbose: bool) -> str:
-    return "details below" if verbose else "details with --verbose"
+_DETAILS = {False: "details with --verbose", True: "details below"}
 
 
 def print_metrics(metrics: Mapping[str, Any], verbose: bool) -> None:
@@ -108,7 +98,7 @@ def print_metrics(metrics: Mapping[str, Any], verbose: bool) -> None:
     say(suggestion(metrics))
     for line in without_truth(metrics):
         say(line)
-    say(f"{counts(metrics)}; {_details(verbose)}")
+    say(f"{counts(metrics)}; {_DETAILS[verbose]}")
     if verbose:
         say(steps_in_words(metrics["steps"], metrics["temporal"]))
         say(missing_for_sure())
@@ -202,18 +192,19 @@ def estimate_in_words(estimate: Estimate) -> str:
     if estimate.low is None or estimate.high is None:
         few = "too few or too unclear" if estimate.wrong < 1 else "too few map frames"
         return f"{answers}, {few} to say how many are wrong"
-    wrong, low, high = (round(count * x) for x in (estimate.wrong, estimate.low, estimate.high))
-    return f"{answers}, about {wrong} wrong ({low} to {high})"
+    low, high = round(count * estimate.low), round(count * estimate.high)
+    return f"{answers}, about {round(count * estimate.wrong)} wrong ({low} to {high})"
 
 
 def matched_in_words(used: Mapping[str, Any]) -> str:
     """Which sequences were matched as such."""
-    followed = [not course.startswith("no") for course in used["follow"].values()]
-    if not any(followed):
+    sequences = len(used["follow"])
+    followed = sum(not words.startswith("no") for words in used["follow"].values())
+    if not followed:
         return "Matched as single frames"
-    if not all(followed):
-        return f"Matched {sum(followed)} of {len(followed)} sequences, the others as single frames"
-    return f"Matched as {'one sequence' if len(followed) == 1 else f'{len(followed)} sequences'}"
+    if followed < sequences:
+        return f"Matched {followed} of {sequences} sequences, the others as single frames"
+    return f"Matched as {'one sequence' if sequences == 1 else f'{sequences} sequences'}"
 
 
 def steps_in_words(used: Mapping[str, Any], temporal: int | None = None) -> str:

@@ -180,9 +180,11 @@ class Database:
 
     def label_spaces(self) -> list[LabelSpace]:
         """The label spaces of the frames, or of the origins of an empty database, each once."""
-        keys = self._columns(["origin"])["origin"].unique().to_pylist() or list(self.origins)
-        spaces = (self.origins.get(key, rows.Origin()).label_space for key in keys)
-        return list({space.digest: space for space in spaces if space}.values())
+        spaces = dict[str, LabelSpace]()
+        for key in self._columns(["origin"])["origin"].unique().to_pylist() or self.origins:
+            if key in self.origins and (space := self.origins[key].label_space):
+                spaces.setdefault(space.digest, space)
+        return [*spaces.values()]
 
     def require(self, config: SSRVLADConfig, columns: Sequence[Column] = ()) -> None:
         """Raises a ValueError if the descriptors were made with other settings, which are shown
@@ -223,13 +225,10 @@ class Database:
     def load(self) -> FrameSet:
         """Loads all frames into memory and verifies every byte; damage is a ValueError that names
         the file."""
-        import torch
-
         frames, order = self.placed()
         if twice := len(order) - len(set(frames.frames)):
             raise ValueError(f"{self.path} is damaged: it holds {twice} frames twice")
-        arrays = rows.load_descriptors(self.table(), self.columns, order)
-        channels = {name: torch.from_numpy(values) for name, values in arrays.items()}
+        channels = rows.load_descriptors(self.table(), self.columns, order)
         return dataclasses.replace(frames, channels=channels)
 
     def damage(self, progress: Callable[[int], object] = lambda _: None) -> list[rows.Damage]:

@@ -26,6 +26,7 @@ from .frames import FrameRecord, FrameSet, checked_pose, folder_of, is_text
 if TYPE_CHECKING:
     from lance import LanceDataset
     from lance.fragment import LanceFragment
+    from torch import Tensor
 
     from ..recognition.matching import Vectors
 
@@ -381,15 +382,20 @@ def in_natural_order(table: pa.Table) -> tuple[FrameSet, npt.NDArray[np.int64]]:
 
 def load_descriptors(
     table: LanceDataset, columns: Sequence[Column], order: npt.NDArray[np.int64]
-) -> dict[str, npt.NDArray[Any]]:
+) -> dict[str, Tensor]:
     """``(R, *shape)`` by column: the rows of a table in an order. Damage is a ValueError."""
+    import torch
+
     rows, done, damage = np.argsort(order), 0, list[Damage]()
-    arrays = {column.name: np.zeros((len(rows), *column.shape), column.dtype) for column in columns}
+    descriptors: dict[str, Tensor] = {}
+    for column in columns:
+        dtype = getattr(torch, column.dtype)
+        descriptors[column.name] = torch.zeros(len(rows), *column.shape, dtype=dtype)
     for batch in read_rows(table.get_fragments(), damage):
         for column in columns:
             values = matrix(batch[column.name]).reshape(-1, *column.shape)
-            arrays[column.name][rows[done : done + len(batch)]] = values
+            descriptors[column.name].numpy()[rows[done : done + len(batch)]] = values
         done += len(batch)
     if damage:
         raise ValueError(f"{table.uri} is damaged: {damage[0].file}: {damage[0].reason}")
-    return arrays
+    return descriptors

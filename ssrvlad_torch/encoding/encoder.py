@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
 from ..channels import LABEL_SHAPES
 from ..channels.channel import (
@@ -26,7 +27,6 @@ from ..channels.channel import (
     new_channels,
     refuse_text,
 )
-from ..config import SSRVLADConfig
 from ..database.database import Database
 from ..database.frames import FrameRecord, FrameSet
 from ..datasets.frame_files import FrameFile
@@ -34,6 +34,7 @@ from ..datasets.image_files import read_image
 from ..datasets.label_files import LabelMap, digest, read_label_map
 from ..datasets.reading import in_order
 from ..descriptor import SSRVLAD
+from ..segmentation.cache import remember
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace
 from .plan import Plan, Writer
@@ -46,6 +47,7 @@ from .results import (
     Summary,
     do_nothing,
 )
+from .source import cache_folder
 
 AHEAD = 3
 """Batches in memory for each worker."""
@@ -87,46 +89,43 @@ def prepared(
     check_segmenter(segmenter, head, channels)
     network = (segmenter.key(), segmenter.name) if segmenter else ()
     origin = database.add_origin(head.label_space, *network)
+    if segmenter and segmenter.state:
+        remember(segmenter.name, segmenter.state, segmenter.key(), cache_folder())
     plan = Plan.of(files, database, database.origins[origin])
     options.progress(plan.already_there)
     return plan, Describer(channels, head.label_space, origin=origin)
 
 
-def config_for(
-    database: Database | None, preset: str | None, labels_as: str | LabelSpace
-) -> SSRVLADConfig:
-    """The settings of a preset for a label space; without one those of the database, or else
-    ``default``."""
-    if database and preset is None:
-        return replace(database.config, labels_as=labels_as)
-    return SSRVLADConfig.from_preset(preset or "default", labels_as=labels_as)
-
-
-def channels_to_store(
+def method_for(
     database: Database | None,
-    head: SSRVLAD,
+    preset: str | None,
+    labels_as: str | LabelSpace,
     network: Network | None,
     names: Sequence[str] | None,
     note: Note = do_nothing,
-) -> list[Channel]:
-    """The channels that are stored beside that of label maps: those that the user names. Without
-    names, a new database gets all that the frames have, with a note if the network has no features;
-    an existing one gets no other. Names of channels of pictures without a network are a
-    ValueError."""
+) -> tuple[SSRVLAD, list[Channel]]:
+    """How frames of a label space are described that are added to a database, or to a new one: the
+    head, of a preset, or else of the database, or ``default``; and the channels beside it, those
+    that the user names. Without names, a new database gets all that the frames have, with a note if
+    the network has no features; an existing one gets no other. Names of channels of pictures
+    without a network are a ValueError."""
+    if database and preset is None:
+        head = SSRVLAD(replace(database.config, labels_as=labels_as))
+    else:
+        head = SSRVLAD.from_preset(preset or "default", labels_as=labels_as)
     refuse_text(names)
-    if names is None:
-        if network is None:
-            return []
-        if database:
-            of_pictures = any(origin.segmenter for origin in database.origins.values())
-            if len(database.columns) == 1 and not of_pictures:
-                note(f"{database.path} is of label maps alone: features and HOG are not stored")
-            return []
-        if problem := network.problem_of_features:
-            note(f"stored without features: {problem}")
-    elif network is None and (beside := [name for name in names if name != LABEL_SHAPES]):
+    if names is None and network is None:
+        return head, []
+    if names is None and database:
+        of_pictures = any(origin.segmenter for origin in database.origins.values())
+        if len(database.columns) == 1 and not of_pictures:
+            note(f"{database.path} is of label maps alone: features and HOG are not stored")
+        return head, []
+    if names is None and network and (problem := network.problem_of_features):
+        note(f"stored without features: {problem}")
+    if network is None and (beside := [name for name in names or () if name != LABEL_SHAPES]):
         raise ValueError(f"--channel {beside[0]} needs images as SOURCE and --segmenter")
-    return new_channels(names, head, network)[1:]
+    return head, new_channels(names, head, network)[1:]
 
 
 def check_segmenter(
@@ -161,26 +160,29 @@ def encode_to_memory(
     """The frames of a label space that could be encoded and those that were skipped, in order, see
     `encode`. ``columns`` are the anchors of channels that can sweep, see `Channel.describe`;
     ``progress`` is called with 1 for each frame."""
-    encoded, skipped = list[Encoded](), list[Skipped]()
+    records, skipped = list[FrameRecord](), list[Skipped]()
+    described: dict[str, list[npt.NDArray[Any]]] = {channel.name: [] for channel in channels}
     for result in encode(Describer(channels, space, columns), files, workers, segmenter):
         if isinstance(result, Skipped):
             skipped.append(result)
         else:
-            encoded.append(result)
+            records.append(result.record)
+            for name, descriptor in result.descriptors.items():
+                described[name].append(descriptor)
         progress(1)
-    records = [frame.record for frame in encoded]
-    descriptors = {c.name: np.zeros((0, *c.shape), c.dtype) for c in channels}
-    for name in descriptors if encoded else ():
-        descriptors[name] = np.stack([frame.descriptors[name] for frame in encoded])
-    first = next(iter(descriptors.values()))
+    descriptors = dict[str, Tensor]()
+    for channel in channels:
+        rows, none = described[channel.name], np.zeros((0, *channel.shape), channel.dtype)
+        descriptors[channel.name] = torch.from_numpy(np.stack(rows) if rows else none)
+    first = described[channels[0].name]
     poses = [(record.x, record.y, record.heading) for record in records]
     return FrameSet(
         frames=tuple(record.frame for record in records),
         sequences=tuple(record.sequence for record in records),
-        channels={name: torch.from_numpy(values) for name, values in descriptors.items()},
+        channels=descriptors,
         poses=np.array(poses, np.float64).reshape(-1, 3),
         stamps=np.array([record.stamp for record in records], np.float64),
-        empty=np.array([not rows.any() for rows in first], np.bool_),
+        empty=np.array([not descriptor.any() for descriptor in first], np.bool_),
     ), skipped
 
 

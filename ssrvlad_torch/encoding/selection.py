@@ -114,8 +114,6 @@ class FrameSelection:
     @classmethod
     def of(cls, frames: object) -> "FrameSelection":
         """What a user means by folders, globs or files; other things are a ValueError."""
-        if isinstance(frames, cls):
-            return frames
         several = isinstance(frames, Iterable) and not isinstance(frames, str)
         paths: list[Any] = [*frames] if several else [frames]  # type: ignore[misc]
         for path in paths:

@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -81,8 +82,11 @@ def open_frames(
     that cannot be opened or has changed are a ValueError."""
     if selection.segmenter or selection.labels_as:
         network, labels_as = selection.segmenter, selection.labels_as
-    dataset = _dataset_of(selection, labels_as, note)
-    folders = database.folders() if database else ()
+    dataset, folders = None, () if database is None else database.folders()
+    if selection.layout is not None:
+        dataset = open_dataset(selection.paths[0], selection.layout, selection.labels, labels_as)
+        for warning in dataset.select(selection.split or (), selection.role).warnings:
+            note(warning)
     frames = SelectedFrames(selection, dataset=dataset, map_folders=folders)
     if compared and len(selection.paths) == 1 and Database.exists(path := selection.paths[0]):
         if unused := [f"--{name.replace('_', '-')}" for name in selection.changed(*_OF_FILES)]:
@@ -116,19 +120,23 @@ def open_frames(
 
 def up_to_date(
     selection: FrameSelection,
-    database: Database,
-    network: str,
-    labels_as: str | LabelSpace,
+    database: Database | None,
+    network: str | Segmenter | None,
+    labels_as: str | LabelSpace | None,
     complete: bool,
     prune: bool,
 ) -> Summary | None:
-    """What encoding the images of a selection without a layout into a database gives where nothing
-    is to be done, without opening the network; ``None`` where something is, or it cannot be told:
-    the files of a network are known once it has been used."""
+    """What encoding images into a database gives where nothing is to be done, without opening the
+    network; ``None`` where something is, or it cannot be told: the files of a network are known
+    once it has been used."""
+    if database is None or not isinstance(network, str) or selection.layout:
+        return None
     key = known_key(network, cache_folder())
     origins = [o for o in database.origins.values() if o.label_space and o.segmenter == key]
     space = origins[0].label_space if key and len(origins) == 1 else None
-    if space is None or (labels_as != AUTO and label_space(labels_as).digest != space.digest):
+    if space is None or (
+        labels_as not in (None, AUTO) and label_space(labels_as).digest != space.digest
+    ):
         return None
     frames = SelectedFrames(selection, map_folders=database.folders())
     files = _files_of(frames, Projection(partial(pose_in, database)), find_image_files)
@@ -236,6 +244,16 @@ def origin_of(database: Database) -> Origin:
     return origins[0]
 
 
+def network_of(
+    database: Database, network: str | Segmenter | None, labels_as: str | LabelSpace | None
+) -> Segmenter:
+    """A network by its name, or the one with which all frames of a database were labelled."""
+    if not isinstance(network, str):
+        origin = origin_of(database)
+        network, labels_as = origin.network, labels_as or origin.label_space
+    return Segmenter.load(network, labels_as or AUTO, cache_folder())
+
+
 def require_network(database: Database, segmenter: Segmenter) -> None:
     """Raises a ValueError if another network labelled frames of a database."""
     makers = {origin.segmenter: origin.network for origin in database.origins.values()}
@@ -248,18 +266,6 @@ def require_network(database: Database, segmenter: Segmenter) -> None:
             "(with another label space or other settings it is another network, and so is the ONNX "
             "file of a module: encode with the file to be deployed)"
         )
-
-
-def _dataset_of(
-    selection: FrameSelection, labels_as: str | LabelSpace | None, note: Note
-) -> Dataset | None:
-    """The data set of the selection; none without a layout."""
-    if selection.layout is None:
-        return None
-    whole = open_dataset(selection.paths[0], selection.layout, selection.labels, labels_as)
-    for warning in whole.select(selection.split or (), selection.role).warnings:
-        note(warning)
-    return whole
 
 
 def _files_of(
@@ -277,9 +283,11 @@ def _files_of(
             chosen = chosen.posed()
         kind: Kind = "image" if find is find_image_files else "label"
         return chosen.files(kind, selection.every, selection.start)
-    names = ("sequence", "every", "start", "poses", "topic", "fps")
-    settings = {name: getattr(selection, name) for name in names}
-    settings |= {"map_folders": frames.map_folders, "projection": projection, "note": note}
+    settings: dict[str, Any] = {
+        "sequence": selection.sequence, "every": selection.every, "start": selection.start,
+        "poses": selection.poses, "topic": selection.topic, "fps": selection.fps,
+        "map_folders": frames.map_folders, "projection": projection, "note": note,
+    }  # fmt: skip
     if find is find_label_files and frames.labels_as:
         settings["choose"] = partial(one_of_each_place, label_space(frames.labels_as), note=note)
     return find([*selection.paths], **settings)

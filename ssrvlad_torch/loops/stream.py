@@ -12,8 +12,7 @@ from ..channels.channel import Network
 from ..database.database import Database
 from ..datasets.frame_file import FrameFile
 from ..datasets.names import sequence_of
-from ..descriptor import SSRVLAD
-from ..encoding.encoder import Describer, channels_to_store, check_segmenter, config_for, encode
+from ..encoding.encoder import Describer, check_segmenter, encode, method_for
 from ..encoding.named import encode_names
 from ..encoding.results import Encoded, Note, Skipped, do_nothing
 from ..evaluation.curves import Rows
@@ -42,13 +41,11 @@ def open_detector(
     channels, those of the database, or ``default`` and all that the frames have; others, and a
     damaged database, are a ValueError."""
     stored = Database.open(memory) if memory is not None and Database.exists(memory) else None
-    method = config_for(stored, preset, labels_as)
-    head = SSRVLAD(method)
-    beside = channels_to_store(stored, head, network, channels, note)
+    head, beside = method_for(stored, preset, labels_as, network, channels, note)
     if memory is None:
         return LoopDetector(config, head, beside), None
     columns = [channel.column for channel in beside]
-    database = Database.open_or_create(memory, method, columns)
+    database = Database.open_or_create(memory, head.config, columns)
     return LoopDetector.load(database, config, head), database
 
 

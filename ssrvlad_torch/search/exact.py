@@ -58,11 +58,11 @@ def search(
     source that lacks a channel, and what does not go together, are a ValueError."""
     steps = _ALONE if single else steps
     used = chosen_channels(database, channels)
-    signs = [channel.name for channel in used if channel.dtype == "uint8"]
-    if temporal and signs:
-        raise ValueError(
-            f"{signs[0]} are signs, which have no temporal sum; expected --channel ssr-vlad"
-        )
+    for channel in used if temporal else ():
+        if channel.dtype == "uint8":
+            raise ValueError(
+                f"{channel.name} are signs, which have no temporal sum; expected --channel ssr-vlad"
+            )
     if not len(database):
         raise ValueError(f"{database.path} holds no frames yet")
     if source.database:
@@ -94,7 +94,7 @@ def search(
         recognised.used["near"] = f"{near}: {where.sum()} frames"
     if shortlist or reason:
         recognised.used["index"] = reason or "candidates of the index"
-    if any(channel.name == Features.name for channel in used):
+    if Features.name in queries.channels:
         recognised.used["camera"] = _cameras(queries, shortlist or references, recognised)
     return Answers(
         queries, references, recognised, temporal, tuple(skipped), folders,
@@ -104,15 +104,17 @@ def search(
 
 def chosen_channels(database: Database, names: Sequence[str] | None = None) -> list[Channel]:
     """The channels of a database, all or those with these names; others are a ValueError."""
-    stored = [column.name for column in database.columns]
-    refuse_text(names)
-    if names is not None and (missing := [name for name in names if name not in stored]):
-        raise ValueError(
-            f"{database.path} holds {', '.join(stored)} of every frame, not {missing[0]}; encode a "
-            f"new database with --channel {missing[0]}"
-        )
-    head = SSRVLAD(database.config)
-    return channels_of([c for c in database.columns if names is None or c.name in names], head)
+    columns = list(database.columns)
+    if names is not None:
+        refuse_text(names)
+        stored = [column.name for column in columns]
+        if missing := [name for name in names if name not in stored]:
+            raise ValueError(
+                f"{database.path} holds {', '.join(stored)} of every frame, not {missing[0]}; "
+                f"encode a new database with --channel {missing[0]}"
+            )
+        columns = [column for column in columns if column.name in names]
+    return channels_of(columns, SSRVLAD(database.config))
 
 
 def space_of_queries(
@@ -149,7 +151,7 @@ def _stored_queries(
     if not {channel.column for channel in channels} <= set(queries.columns):
         raise no_channels(database, channels)
     frames, name = queries.load(), source.selection.sequence
-    used = {name: frames.channels[name] for name in (c.name for c in channels)}
+    used = {channel.name: frames.channels[channel.name] for channel in channels}
     frames = dataclasses.replace(frames, channels=used)
     if name is None:
         folders = queries.folders()
@@ -183,7 +185,7 @@ def recognise_in(
 ) -> Recognised:
     """Candidates of queries among the frames of a map, by some channels; see `recognise`. ``where``
     ``(R,)`` bool are the rows that may be candidates."""
-    arrays = {name: queries.channels[name] for name in (c.name for c in channels)}
+    arrays = {channel.name: queries.channels[channel.name] for channel in channels}
     if isinstance(references, FrameSet):
         allowed = None if where is None or where.all() else where
         town = map_of(references, channels)

@@ -32,6 +32,7 @@ from ..recognition.recognise import references_of
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, colourise, label_space
 from .answers import Answers
+from .exact import chosen_channels
 from .index import read_rows
 from .selection import Posed
 
@@ -53,6 +54,12 @@ class Material:
     references: FrameSet
     queries: Tensor
     source: SelectedFrames
+
+    @classmethod
+    def of(cls, database: Database, answers: Answers, source: SelectedFrames) -> Self:
+        """The material of answers to the frames of a source."""
+        [channel] = chosen_channels(database, [next(iter(answers.queries.channels))])
+        return cls(database, channel, answers.references, answers.queries.descriptors, source)
 
     def of_queries(self, queries: Rows) -> Self:
         """The same of the queries of these rows."""

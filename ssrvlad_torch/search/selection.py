@@ -113,6 +113,6 @@ Circle = str | Sequence[float] | Posed
 frames of known pose."""
 
 
-def circle_of(near: Circle) -> Near | Posed:
+def circle_of(near: Circle | None) -> Near | Posed | None:
     """The place that a user means."""
-    return near if isinstance(near, Posed) else Near.of(near)
+    return near if near is None or isinstance(near, Posed) else Near.of(near)

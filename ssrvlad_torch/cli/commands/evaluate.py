@@ -39,14 +39,8 @@ def evaluate(
     by_poses = None if truth.definition == (None,) * 4 else truth.tolerance_metres is not None
     frames = town.source(replace(source, posed=by_poses), compared=True, note=note)
     with progress_bar("encoding", len(frames.files), "recognising") as bar:
-        evaluation = town.evaluate(
-            frames,
-            recognition.steps(),
-            **vars(truth),
-            note=note,
-            progress=bar.advance,
-            **recognition.settings(),
-        )
+        settings = {**vars(truth), **recognition.settings()}
+        evaluation = town.evaluate(frames, note=note, progress=bar.advance, **settings)
     if as_json:
         print_json(evaluation.metrics)
     else:

@@ -25,8 +25,7 @@ def locate(
     town = Map.open(database)
     frames = town.source(source, compared=True, images=True, note=note)
     with progress_bar("encoding", len(frames.files), "recognising") as bar:
-        settings = answers.settings()
-        places = town.query(frames, top=1, single=True, progress=bar.advance, **settings)
+        places = town.query(frames, top=1, single=True, progress=bar.advance, **vars(answers))
     for answer in places:
         if as_json:
             print_json(place_in_json(answer, places))

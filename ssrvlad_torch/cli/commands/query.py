@@ -66,11 +66,11 @@ def query(
             )
         _track(Map.open(database, version=as_of), source, recognition, top, verbose, as_json)
         return
-    settings = {**recognition.settings(), "sequences": from_sequence, "exclude": exclude}
     town = Map.open(database, version=as_of)
     frames = town.source(source, compared=True, note=note)
     with progress_bar("encoding", len(frames.files), "recognising") as bar:
-        answers = town.query(frames, recognition.steps(), top, **settings, progress=bar.advance)
+        settings = {**recognition.settings(), "sequences": from_sequence, "exclude": exclude}
+        answers = town.query(frames, top=top, progress=bar.advance, **settings)
     for answer in answers:
         print_answer(answer, verbose, as_json, answers)
     if picture:
@@ -93,7 +93,7 @@ def _track(
     from ..summaries import print_answer
 
     names = map(os.fsdecode, sys.stdin.buffer)
-    settings = recognition.steps(), top, recognition.near, recognition.channel
+    settings = recognition.steps(), top, recognition.near, recognition.channels
     answered, skipped = 0, []
     for answer in town.track(source, names, *settings, note=note):
         if isinstance(answer, Skipped):
