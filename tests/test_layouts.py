@@ -38,7 +38,7 @@ from layout_copies import (
 
 from ssrvlad_torch.datasets.dataset import GroundTruth
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
-from ssrvlad_torch.datasets.layouts import LAYOUTS, open_dataset
+from ssrvlad_torch.datasets.layouts import layouts, open_dataset
 from ssrvlad_torch.datasets.poses import UNKNOWN
 from ssrvlad_torch.taxonomy import label_space
 
@@ -96,7 +96,7 @@ def of(*makers):
 def test_each_layout_has_its_traverses_label_space_and_truth(copy, layout, space, truth, frames):
     """It is recognised by its folders, and by no other but plain folders, which come last."""
     dataset = open_dataset(copy)
-    others = {other.name for other in LAYOUTS if other.recognises(copy)}
+    others = {other.name for other in layouts() if other.recognises(copy)}
     assert others <= {layout, "folders"} and open_dataset(str(copy), layout).layout == layout
     assert (dataset.layout, dataset.labels_as) == (layout, space)
     assert outline(dataset) == frames
@@ -225,8 +225,8 @@ def test_an_unknown_layout_is_refused_with_all_known_ones(tmp_path):
     (tmp_path / "empty").mkdir()
     refuses("found empty/; ", open_dataset, tmp_path, "vpr-bench")
     write(tmp_path / "a" / "b" / "c.txt", "")
-    layouts = [f"{layout.name}: {layout.expected}" for layout in LAYOUTS]
-    with refused("in no known layout; found a/b, empty/; expected one of", *layouts):
+    expected = [f"{layout.name}: {layout.expected}" for layout in layouts()]
+    with refused("in no known layout; found a/b, empty/; expected one of", *expected):
         open_dataset(tmp_path)
 
 

