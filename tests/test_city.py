@@ -9,7 +9,6 @@ import sys
 
 import numpy as np
 import pytest
-from helpers import refuses
 from PIL import Image
 
 from ssrvlad_torch.cli.demo import Pair, chosen, draw_pairs
@@ -125,20 +124,6 @@ def test_a_written_city_is_its_frames_their_poses_and_true_matches(tmp_path):
             and math.dist(pose[:2], poses[query][:2]) <= 5
             and abs(math.remainder(pose[2] - poses[query][2], math.tau)) < math.pi / 4
         ]
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: SyntheticCity().traverse(0), "frames: got 0, expected at least 1"),
-        (lambda: SyntheticCity().traverse(1, size=(8, 64)), r"size: got \(8, 64\)"),
-        (lambda: SyntheticCity().traverse(1, labels_as="camvid-11"), "labels_as: got 'camvid-11'"),
-        (lambda: Conditions(season="spring"), "season: got 'spring', expected one of"),
-        (lambda: Conditions(spacing=0), "spacing: got 0, expected metres > 0"),
-    ],
-)
-def test_wrong_arguments_are_refused_by_name(call, message):
-    refuses(message, call)
 
 
 # ---- the demo: the picture of queries and matches

@@ -23,14 +23,12 @@ from ..files import empty_folder, replacing
 from ..taxonomy import label_space, palette
 from .city.blocks import Bodies, block_sides, changing_bodies, fixed_bodies, pack, vehicles
 from .city.rendering import background, paint
-from .city.streets import Conditions, camera_poses, generator, nearby_blocks, require
+from .city.streets import Conditions, camera_poses, generator, nearby_blocks
 from .pose_tables import write_poses
 from .poses import Pose
 from .segmentation_noise import add_errors
 
-LABEL_SPACES = ("cityscapes-trainids", "cityscapes-ids")
 FRAME_SECONDS = 1 / 3
-MINIMUM_SIZE = 16
 RADIUS = 5.0
 
 REFERENCE = Conditions()
@@ -80,15 +78,6 @@ class SyntheticCity:
         it ends. The route starts eastwards; ``turns`` are 1 for left, 0 for straight on and -1 for
         right at each junction, ``None`` an endless route that never crosses itself. Train ids are
         255 for classes without one."""
-        require(frames >= 1, "frames", frames, "at least 1")
-        require(min(size) >= MINIMUM_SIZE, "size", size, f"at least {MINIMUM_SIZE} pixels a side")
-        require(labels_as in LABEL_SPACES, "labels_as", labels_as, f"one of {LABEL_SPACES}")
-        poses = itertools.islice(camera_poses(self.seed, conditions, turns), frames)
-        return self._frames(poses, conditions, size, labels_as)
-
-    def _frames(
-        self, poses: Iterable[Pose], conditions: Conditions, size: tuple[int, int], labels_as: str
-    ) -> Iterator[CityFrame]:
         names = {label.name: label.id for label in label_space(labels_as).classes}
         ids = np.full(256, 255, np.uint8)  # of the label space, 255 for a class that it lacks
         for label in label_space("cityscapes-ids").classes:
@@ -103,7 +92,8 @@ class SyntheticCity:
             fixed = fixed_bodies(self.seed, sides, conditions.season)
             return pack(itertools.chain(fixed, *changing))
 
-        for index, pose in enumerate(poses):
+        poses = camera_poses(self.seed, conditions, turns)
+        for index, pose in enumerate(itertools.islice(poses, frames)):
             bodies = [block(*corner) for corner in nearby_blocks(pose)]
             bodies.append(pack(vehicles(self.seed, conditions, pose, index * FRAME_SECONDS)))
             labels = paint(background(self.seed, pose, size), bodies, pose)
@@ -124,7 +114,7 @@ def write_city(
     """Writes two sequences into a new or empty folder, which it returns: ``reference`` and
     ``query``, in the conditions `REFERENCE` and `QUERY`, as palette PNGs; ``poses.csv``; and
     ``ground_truth.json``, the reference frames within `RADIUS` metres and 45 degrees of each query
-    frame. Another folder, and a value out of range, are a ValueError."""
+    frame. Another folder is a ValueError."""
     city, out = SyntheticCity(seed), empty_folder(Path(out))
     colours, poses = palette(labels_as), dict[str, dict[str, Pose]]()
     for name, conditions in (("reference", REFERENCE), ("query", QUERY)):

@@ -11,8 +11,6 @@ import numpy as np
 
 from ..poses import Pose
 
-SEASONS = ("summer", "winter")
-
 
 @dataclass(frozen=True)
 class Conditions:
@@ -37,16 +35,6 @@ class Conditions:
     season: str = "summer"
     noise: float = 0.0
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        require(0 < self.spacing < math.inf, "spacing", self.spacing, "metres > 0")
-        require(self.season in SEASONS, "season", self.season, f"one of {SEASONS}")
-
-
-def require(holds: bool, name: str, got: object, expected: str) -> None:
-    """Raises a `ValueError` that names the value and what was expected, unless `holds`."""
-    if not holds:
-        raise ValueError(f"{name}: got {got!r}, expected {expected}")
 
 
 def generator(seed: int, name: str, *key: int) -> np.random.Generator:
