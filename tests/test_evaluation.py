@@ -26,14 +26,11 @@ def rows(*matches):
     return [np.array(match, np.int64) for match in matches]
 
 
-def test_evaluate_refuses_what_it_cannot_compute():
-    given = np.ones((2, 4)), np.zeros((2, 4), np.int64), rows([0], [1])
-    for message, settings in (
-        (r"convention must be one of .*, got 'sklearn'", {"convention": "sklearn"}),
-        ("RecallRate@5: expected N from 1 to 4 candidates", {"at": (1, 5)}),
-        ("RecallRate@0: expected N from 1 to 4 candidates", {"at": (1, 0)}),
-    ):
-        refuses(message, evaluate, *given, **{"at": (1,), **settings})
+def test_an_unknown_convention_is_refused():
+    message = "convention must be one of .*, got 'sklearn'"
+    refuses(
+        message, evaluate, np.ones((1, 1)), np.zeros((1, 1)), [[0]], convention="sklearn", at=()
+    )
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ class VectorMethod(VectorChannel):
     @torch.no_grad()
     def encode_query(self, frames: Iterable[View]) -> Tensor:
         """``(Q, *shape)``."""
-        return joined(map(self.describe, batches(frames, self.batch)), self.name)
+        return torch.cat([*map(self.describe, batches(frames, self.batch))])
 
     def encode_reference(self, frames: Iterable[View]) -> Tensor:
         """``(R, *shape)``, encoded as queries are."""
@@ -44,13 +44,6 @@ class VectorMethod(VectorChannel):
     def scores(self, queries: Tensor, references: Tensor) -> Tensor:
         """``(Q, R)`` cosines."""
         return score(queries, references)
-
-
-def joined(batches: Iterable[Tensor], method: str) -> Tensor:
-    """The encodings of batches, one after another; none is a ValueError."""
-    if encodings := list(batches):
-        return torch.cat(encodings)
-    raise ValueError(f"method {method}: no frames to encode")
 
 
 class HOGMethod(VectorMethod, HOG):
@@ -69,8 +62,8 @@ class SSRVLADMethod(VectorMethod, LabelShapes):
 
     def encode_sweep(self, frames: Iterable[View]) -> Tensor:
         """``(Q, S, D)`` float32; for residuals, which have no anchor, ``(Q, D)``."""
-        swept = (self.describe(batch, COLUMNS) for batch in batches(frames, self.batch))
-        return joined(swept, self.name)
+        swept = [self.describe(batch, COLUMNS) for batch in batches(frames, self.batch)]
+        return torch.cat(swept)
 
     def encode_reference(self, frames: Iterable[View]) -> Tensor:
         """``(R, D)`` float32, after Eq. 3."""
@@ -165,7 +158,7 @@ class TinyImage:
     @torch.no_grad()
     def encode_query(self, frames: Iterable[View]) -> Tensor:
         """``(Q, HEIGHT * WIDTH)`` float32."""
-        return joined(map(self._describe, batches(frames, _BATCH)), self.name)
+        return torch.cat([*map(self._describe, batches(frames, _BATCH))])
 
     def encode_reference(self, frames: Iterable[View]) -> References:
         """The pictures, and the sequence of each."""

@@ -14,7 +14,6 @@ from torch import Tensor
 
 from ..channels.channel import View, batches
 from ..channels.hog import CELL, cell_histograms, grays, resize
-from .channel_methods import joined
 
 ORIENTATIONS = 8
 REGION_NUMBERS = 4 * ORIENTATIONS
@@ -56,13 +55,13 @@ class CoHOG:
         for pictures in map(self._pictures, batches(frames, _BATCH)):
             described.append(region_descriptors(pictures))
             chosen.append(region_entropies(pictures) >= THRESHOLD)
-        return Regions(joined(described, self.name), torch.cat(chosen))
+        return Regions(torch.cat(described), torch.cat(chosen))
 
     @torch.no_grad()
     def encode_reference(self, frames: Iterable[View]) -> Tensor:
         """``(R, regions, 32)`` float32, the descriptors of all regions."""
         pictures = map(self._pictures, batches(frames, _BATCH))
-        return joined(map(region_descriptors, pictures), self.name)
+        return torch.cat([*map(region_descriptors, pictures)])
 
     @torch.no_grad()
     def scores(self, queries: Regions, references: Tensor) -> Tensor:

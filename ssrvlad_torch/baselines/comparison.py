@@ -60,8 +60,8 @@ def run(
     steps: Steps | None = None,
 ) -> Retrieval:
     """Encodes the references, then the queries one by one; the first query is encoded twice and
-    timed the second time. ``progress`` is called with 1 for every frame. No frames, and one that
-    the method refuses, are a ValueError.
+    timed the second time. ``progress`` is called with 1 for every frame. One that the method
+    refuses is a ValueError.
 
     Steps, whose costs are not measured, give a second result. The sweep needs signs, or a method
     with ``encode_sweep``."""
@@ -85,8 +85,6 @@ def run(
         if steps:
             swept = sweep([frame]) if sweep else encodings
             inputs.append(swept if isinstance(method, Channel) else scores)
-    if not matches:
-        raise ValueError(f"method {method.name}: no frames to encode")
     costs = {
         "encode_ms": _cost(encode_ms),
         "match_ms": _cost(match_ms),

@@ -121,8 +121,6 @@ class LoSTX:
     def _encode(self, frames: Iterable[View], reach: int) -> list[LoSTFrame]:
         sequences, encoded = list[str](), list[LoSTFrame]()
         sights = [self._sight(picture_of(frame, self.name)) for frame in noting(frames, sequences)]
-        if not sights:
-            raise ValueError(f"method {self.name}: no frames to encode")
         members = [(labels == self._classes[:, None]).float() for *_, labels in sights]
         parts = [
             (member @ features.flatten(1).mT, member.sum(dim=1, keepdim=True))

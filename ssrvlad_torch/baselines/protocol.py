@@ -21,8 +21,8 @@ class Method(Protocol):
     needs: frozenset[str]
 
     def encode_query(self, frames: Iterable[View]) -> Any:
-        """The encodings of Q queries, each independent of the others. No frames, and a frame that
-        lacks what the method needs or cannot be encoded, are a ValueError."""
+        """The encodings of Q queries, each independent of the others. A frame that lacks what
+        the method needs or cannot be encoded is a ValueError."""
 
     def encode_reference(self, frames: Iterable[View]) -> Any:
         """The encodings of R references, those of a sequence in order; errors as for queries."""

@@ -165,15 +165,12 @@ def zone_of_name(name: str) -> str:
 
 
 def write_name(name: str, pose: Pose, stamp: float = math.nan) -> str:
-    """A file name that holds the pose, the time if it is known, and ``name`` as its note. An
-    unknown position is a ValueError.
+    """A file name that holds the pose, the time if it is known, and ``name`` as its note.
 
     Examples:
         >>> write_name("000007", Pose(303189.3, 5787193.0, 0.0))
         '@0303189.30@5787193.00@@@@@@@90.00@@@@@000007@'
     """
-    if math.isnan(pose.x) or math.isnan(pose.y):
-        raise ValueError(f"{name} has no known position")
     fields = [""] * _FIELDS
     fields[1], fields[2] = f"{pose.x:010.2f}", f"{pose.y:010.2f}"
     if not math.isnan(pose.heading):

@@ -52,27 +52,11 @@ class Outcomes:
 
 def judge(scores: Scores, indices: Indices, truth: Truth) -> Outcomes:
     """Compares the candidates of each query, ``(Q, top)`` scores, best first, and int64 rows, with
-    its true matches. Other shapes, NaN, +inf, and a matrix as ``truth`` are a ValueError."""
+    its true matches. Scores that are NaN or +inf are a ValueError."""
     scores, indices = as_array(scores), as_array(indices)
-    if isinstance(truth, np.ndarray) or any(np.asarray(rows).dtype == bool for rows in truth):
-        raise ValueError(
-            "expected the rows of the true matches of each query, got a matrix; they are "
-            "[np.flatnonzero(row) for row in matrix]"
-        )
-    if indices.ndim != 2 or len(indices) != len(truth):
-        raise ValueError(
-            f"expected (Q, top) candidates for {len(truth)} queries, got {indices.shape}"
-        )
-    if scores.shape != indices.shape or indices.shape[1] == 0:
-        raise ValueError(
-            "expected scores and indices of one shape (Q, top) with top >= 1, "
-            f"got {scores.shape} and {indices.shape}"
-        )
     bad = int((np.isnan(scores) | (scores == np.inf)).any(axis=1).sum())
     if bad:
         raise ValueError(f"{bad} of {len(scores)} queries have scores that are NaN or +inf")
-    if ((scores > -np.inf) & (indices < 0)).any():
-        raise ValueError("a candidate has a score but no row; expected -inf for an index of -1")
     hits = np.zeros(indices.shape, bool)
     for row, matches in enumerate(truth):
         hits[row] = np.isin(indices[row], matches)

@@ -38,8 +38,7 @@ BLOCK = 10
 
 
 def precision_recall_curve(outcomes: Outcomes, convention: Convention = "exact") -> PrecisionRecall:
-    """Precision and recall of the outcomes of queries by a convention; an unknown one is a
-    ValueError."""
+    """Precision and recall of the outcomes of queries by a convention."""
     return _curves(outcomes, convention)(np.ones(len(outcomes)))
 
 
@@ -65,14 +64,10 @@ def evaluate(
         ``queries_with_match``, and with resamples ``intervals``: ``[low, high]`` of each figure.
         A figure without positives is NaN, and so is the ROC-AUC if every candidate is right.
 
-    Shapes that do not fit, a NaN score and an unknown convention are a ValueError. Where all
-    resamples agree, RecallRate@N, and Recall@100%Precision of 1, have Wilson's interval of queries
-    / block independent ones; other figures have both ends at one value, which does not mean that
-    they are certain."""
+    Where all resamples agree, RecallRate@N, and Recall@100%Precision of 1, have Wilson's interval
+    of queries / block independent ones; of other figures both ends are equal, though they are not
+    certain. An unknown convention is a ValueError."""
     outcomes, at = judge(scores, indices, truth), list(at)
-    for n in at:
-        if not 1 <= n <= indices.shape[1]:
-            raise ValueError(f"RecallRate@{n}: expected N from 1 to {indices.shape[1]} candidates")
     curves = _curves(outcomes, convention)
     figures = partial(_figures, outcomes, convention, curves, at)
     values = {name: float(value[0]) for name, value in figures(np.ones((1, len(truth)))).items()}
