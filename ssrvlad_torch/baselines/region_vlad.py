@@ -5,6 +5,7 @@ vocabulary holds its activations. That which Places365 publishes for PyTorch is 
 
 import pickle
 from collections.abc import Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -19,21 +20,6 @@ from .channel_methods import VectorMethod
 from .weights import fill, find_weights
 
 _MEAN_BGR = (104.051, 112.514, 116.676)  # the mean pixel of places365CNN_mean.binaryproto
-
-_CAFFE = """
-name: "caffe.proto" package: "caffe"
-message_type { name: "Net" field { name: "layer" number: 100 label: LABEL_REPEATED
-  type: TYPE_MESSAGE type_name: "Layer" } }
-message_type { name: "Layer"
-  field { name: "name" number: 1 label: LABEL_OPTIONAL type: TYPE_STRING }
-  field { name: "blobs" number: 7 label: LABEL_REPEATED type: TYPE_MESSAGE type_name: "Blob" } }
-message_type { name: "Blob"
-  field { name: "data" number: 5 label: LABEL_REPEATED type: TYPE_FLOAT options { packed: true } }
-  field { name: "shape" number: 7 label: LABEL_OPTIONAL type: TYPE_MESSAGE type_name: "Shape" } }
-message_type { name: "Shape"
-  field { name: "dim" number: 1 label: LABEL_REPEATED type: TYPE_INT64 options { packed: true } } }
-"""
-"""What is read of Caffe's ``NetParameter``."""
 
 
 class RegionVLAD(VectorMethod):
@@ -122,7 +108,8 @@ def read_caffe(path: Path) -> dict[str, Tensor]:
     with requiring("onnx", "a .caffemodel needs"):
         from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, text_format
     pool = descriptor_pool.DescriptorPool()
-    pool.Add(text_format.Parse(_CAFFE, descriptor_pb2.FileDescriptorProto()))
+    form = resources.files(__package__).joinpath("caffe.textproto").read_text("utf-8")
+    pool.Add(text_format.Parse(form, descriptor_pb2.FileDescriptorProto()))
     make = message_factory.GetMessageClass(pool.FindMessageTypeByName("caffe.Net"))
     with naming(f"{path} is no whole .caffemodel"):
         return {
