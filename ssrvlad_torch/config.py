@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 import os
@@ -188,9 +187,8 @@ class SSRVLADConfig:
     def from_dict(cls, settings: dict[str, Any]) -> SSRVLADConfig:
         """The config that `to_dict` wrote; a key that is no setting of this version, and a value
         outside its range, are a ValueError."""
-        names = {field.name for field in dataclasses.fields(cls)}
-        unknown = sorted(set(settings) - names)
-        if unknown:
+        names = cls.__dataclass_fields__
+        if unknown := sorted(settings.keys() - names.keys()):
             raise ValueError(
                 f"unknown setting {unknown[0]!r}; the settings are {', '.join(sorted(names))}"
             )
@@ -208,8 +206,10 @@ class SSRVLADConfig:
 
     def used(self) -> dict[str, Any]:
         """`to_dict` without the settings that the aggregation does not use."""
-        unused = _ONLY_HARMONICS if self.aggregation == "residuals" else _ONLY_RESIDUALS
-        return {name: value for name, value in self.to_dict().items() if name not in unused}
+        settings = self.to_dict()
+        for unused in _ONLY_HARMONICS if self.aggregation == "residuals" else _ONLY_RESIDUALS:
+            del settings[unused]
+        return settings
 
     @property
     def preset(self) -> str:

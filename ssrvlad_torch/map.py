@@ -255,8 +255,6 @@ class Map:
             raise ValueError(f"expected steps as Steps, got {steps!r}")
         if follow:
             steps = replace(steps, follow=None if follow == "no" else follow)
-        most = max(TOP, len(self.database))
-        top = most if isinstance(top, int) and top > most else checked_number("top", top, least=1)
         return search(
             self.database, source, steps, top, temporal, channels, sequences, exclude, circle,
             progress, single, min_confidence, max_wrong,

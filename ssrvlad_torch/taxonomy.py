@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
 from importlib import resources
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -131,7 +132,7 @@ class LabelSpace:
         """16 hex digits over the classes: ids, names, categories and colours, in the order of ids.
 
         Label spaces with equal digests read every label map alike; their names may differ."""
-        classes = sorted(self.to_dict()["classes"], key=lambda entry: int(entry["id"]))
+        classes = sorted(self.to_dict()["classes"], key=itemgetter("id"))
         return hashlib.sha256(json.dumps(classes, sort_keys=True).encode()).hexdigest()[:16]
 
     @property

@@ -30,7 +30,7 @@ class LabelShapes(VectorChannel):
         self.head = head or SSRVLAD()
         self.config: SSRVLADConfig = self.head.config
         self.length, self.fingerprint = self.config.length, self.config.fingerprint
-        self._heads = {self.head.label_space.digest: self.head}
+        self._heads: dict[str, SSRVLAD] = {}
 
     @property
     def threads(self) -> int | None:  # type: ignore[override]
@@ -58,9 +58,11 @@ class LabelShapes(VectorChannel):
         swept = columns and self.config.aggregation == "harmonics"
         return (head.sweep(stack, columns) if swept else head(stack)).cpu()
 
-    def _head(self, space: str | LabelSpace) -> SSRVLAD:
+    def _head(self, labels_as: str | LabelSpace) -> SSRVLAD:
         """The head for a label space."""
-        space = label_space(space)
+        space = label_space(labels_as)
+        if space == self.head.label_space:
+            return self.head
         if space.digest not in self._heads:
             device = next(self.head.buffers()).device
             config = dataclasses.replace(self.config, labels_as=space)

@@ -9,7 +9,7 @@ import os
 import threading
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
@@ -82,13 +82,13 @@ class Database:
         """Whether a database is at ``path``; what is no path is a ValueError."""
         if not isinstance(path, (str, os.PathLike)):
             raise ValueError(f"expected the folder or URI of a database, got {path!r}")
-        if not is_uri(str(path)):
-            return any(Path(path, "_versions").glob("*.manifest"))
-        try:
-            engine.open_table(str(path))
-        except OSError:
-            return False
-        return True
+        if any(Path(path, "_versions").glob("*.manifest")):
+            return True
+        with suppress(OSError):
+            if is_uri(str(path)):
+                engine.open_table(str(path))
+                return True
+        return False
 
     @classmethod
     def create(
@@ -125,13 +125,12 @@ class Database:
         """Opens a database; at a ``version`` of `history` read-only, else the newest. One that does
         not exist, was made by another version of the method, or cannot be read is a ValueError,
         which says which version can be read."""
-        text = str(path)
-        if not is_uri(text):
-            if not cls.exists(path):
-                problem = "is not a database" if Path(text).exists() else "does not exist"
-                raise ValueError(f"{text} {problem}")
-            if links := [entry for entry in Path(text).iterdir() if entry.is_symlink()]:
-                raise ValueError(f"{links[0]} is a link; expected a folder of the database")
+        text, folder = str(path), Path(path)
+        if folder.is_dir() and (links := [*filter(Path.is_symlink, folder.iterdir())]):
+            raise ValueError(f"{links[0]} is a link; expected a folder of the database")
+        if not cls.exists(path) and not is_uri(text):
+            problem = "is not a database" if folder.exists() else "does not exist"
+            raise ValueError(f"{text} {problem}")
         try:
             table = engine.open_table(text, version)
         except OSError as error:

@@ -104,20 +104,19 @@ class TableMetadata(NamedTuple):
             if entries.get(_DIGEST) != _digest(text):  # Lance does not notice a flipped byte
                 raise InputError(f"{path} is damaged: the checksum of its settings does not match")
             columns = tuple(
-                Column(**{**column, "shape": tuple(column["shape"])})
-                for column in content["columns"]
+                Column(**{**of, "shape": tuple(of["shape"])}) for of in content["columns"]
             )
             if not stored.equals(schema(columns)):
                 raise InputError(f"{path} has other columns than a database of this version")
             config = content["config"] and SSRVLADConfig.from_dict(content["config"])
-            space = config and config.labels_as
-            if isinstance(space, str) and space not in label_space_names():
-                raise ValueError(f"label space {space!r}; expected a built-in one")
             if config and config.fingerprint != columns[0].fingerprint:
                 raise InputError(
                     f"{path} has fingerprint {columns[0].fingerprint}, made by another version of "
                     f"the method; the same settings have {config.fingerprint} here: encode it again"
                 )
+            space = config and config.labels_as
+            if isinstance(space, str) and space not in label_space_names():
+                raise ValueError(f"label space {space!r}; expected a built-in one")
             origins = {
                 key: Origin.of_entry(key, entries[name])
                 for name in entries
@@ -148,9 +147,8 @@ def new_schema(config: SSRVLADConfig | None, columns: Sequence[Column]) -> pa.Sc
     stored in it. A name of a column that another one has is a ValueError."""
     names = [column.name for column in columns]
     if len({*names, *schema([]).names}) < len(names) + len(schema([])):
-        raise ValueError(
-            f"expected unique names of channels that no column has, got {', '.join(names)}"
-        )
+        got = ", ".join(names)
+        raise ValueError(f"expected unique names of channels that no column has, got {got}")
     if config and config.labels_as not in label_space_names():
         config = dataclasses.replace(config, labels_as=label_space(config.labels_as))
     content = {

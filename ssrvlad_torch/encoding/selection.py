@@ -110,6 +110,11 @@ class FrameSelection:
             raise ValueError(
                 f"--layout: expected the folder of one data set, got {len(self.paths)} sources"
             )
+        if STDIN in self.paths and (len(self.paths) > 1 or self.changed(*_LEFT_OUT)):
+            raise ValueError(
+                f"SOURCE {STDIN} takes no other SOURCE, no --layout, --poses, --topic, "
+                "--fps, --every, --start and --index-is-id"
+            )
 
     @classmethod
     def of(cls, frames: object) -> "FrameSelection":
@@ -123,18 +128,6 @@ class FrameSelection:
                     f"{type(path).__name__}; query and locate take pictures in memory"
                 )
         return cls([str(path) for path in paths])
-
-    @property
-    def is_live(self) -> bool:
-        """Whether the names of the files arrive on standard input; what does not go with that is a
-        ValueError."""
-        live = STDIN in self.paths
-        if live and (len(self.paths) > 1 or self.changed(*_LEFT_OUT)):
-            raise ValueError(
-                f"SOURCE {STDIN} takes no other SOURCE, no --layout, --poses, --topic, "
-                "--fps, --every, --start and --index-is-id"
-            )
-        return live
 
     def changed(self, *names: str) -> list[str]:
         """Those of these fields that are not at their defaults."""

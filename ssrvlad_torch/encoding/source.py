@@ -191,30 +191,29 @@ def _labelling(
         has_names = labels_as or named.class_names or named.labels_as is not None
         labels_as = space_of(named) if has_names else None
     labels_as = labels_as or (dataset.labels_as if dataset else None)
-    if database and not named and (images or (not labels_as and _are_of(database, pictures))):
-        origin = origin_of(database)
-        labels_as = origin.label_space or label_space(database.config.labels_as)
+    segmenter, maker = None, None if named else database
+    if maker is not None and (images or (not labels_as and _are_of(maker, pictures))):
+        origin = origin_of(maker)
+        labels_as = origin.label_space or label_space(maker.config.labels_as)
         if opened and not selection.changed("segmenter_cache"):
-            require_network(database, opened)
-            note(f"{opened.name}, the network of {database.path}, labels the pictures")
-            return labels_as, opened
-        named = open_network(origin.network)
-    if named and not labels_as and not database:
+            segmenter = opened
+        else:
+            named = open_network(origin.network)
+    if named and not labels_as and database is None:
         raise ValueError(f"{named.name} does not name its classes; give --labels-as")
     labels_as = labels_as or _space_of_database(database, compared)
     if labels_as is None and not images:
         raise ValueError("expected the label space of the label maps, --labels-as, got none")
-    if not named or labels_as is None:
-        if selection.segmenter_cache is not None:
-            raise ValueError("--segmenter-cache needs --segmenter")
-        return labels_as, None
-    cache = Path(selection.segmenter_cache) if selection.segmenter_cache else cache_folder()
-    segmenter = Segmenter.load(named, labels_as, cache)
-    if named.assumption:
-        note(named.assumption)
-    if database and not network:
-        require_network(database, segmenter)
-        note(f"{segmenter.name}, the network of {database.path}, labels the pictures")
+    if named and labels_as is not None:
+        cache = Path(selection.segmenter_cache) if selection.segmenter_cache else cache_folder()
+        segmenter = Segmenter.load(named, labels_as, cache)
+        if named.assumption:
+            note(named.assumption)
+    elif selection.segmenter_cache is not None:
+        raise ValueError("--segmenter-cache needs --segmenter")
+    if segmenter and maker is not None:
+        require_network(maker, segmenter)
+        note(f"{segmenter.name}, the network of {maker.path}, labels the pictures")
     return labels_as, segmenter
 
 
@@ -324,10 +323,12 @@ def _are_of(database: Database, pictures: Callable[[], list[FrameFile]]) -> bool
 def _space_of_database(database: Database | None, compared: bool) -> LabelSpace | None:
     """The label space of all frames of a database, or where it has none of its settings, if frames
     are compared with it. Several are a ValueError."""
-    spaces = database.label_spaces() if database else []
-    if database and len(spaces) > 1:
+    if database is None:
+        return None
+    spaces = database.label_spaces()
+    if len(spaces) > 1:
         names = " and ".join(space.name for space in spaces)
         raise ValueError(f"{database.path} holds frames of {names}; choose one with --labels-as")
-    if database and compared and not spaces:
+    if compared and not spaces:
         return label_space(database.config.labels_as)
     return spaces[0] if spaces else None

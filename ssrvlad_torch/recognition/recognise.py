@@ -87,6 +87,7 @@ class Recognised(NamedTuple):
             weights of fused channels.
         courses: by sequence, how it runs the map if it was followed.
         follows: ``(Q,)`` bool, whether each query was followed.
+        score_is: what the scores of each query are, see `score_is`.
         settled: ``(Q,)`` bool, online whether `sequences.MIN_FRAMES` queries of its sequence came
             before; else all.
     """
@@ -96,22 +97,13 @@ class Recognised(NamedTuple):
     used: dict[str, Any]
     courses: dict[str, Course | None]
     follows: Tensor
+    score_is: list[str]
     settled: Tensor
 
     @property
     def confidence(self) -> Tensor:
         """``(Q,)`` float32, the probability that the first candidate is right; see `Confidence`."""
         return self.sure.right
-
-    @property
-    def fused(self) -> bool:
-        """Whether several channels judged the queries."""
-        return any(self.used["weights"].values())
-
-    def score_is(self) -> str:
-        """What the scores of candidates are, see the function of this name."""
-        kinds = {score_is(followed, self.fused) for followed in self.follows.tolist()}
-        return " or ".join(sorted(kinds))
 
     def _repr_html_(self) -> str:
         return candidates_table(*self.matches, confidence=self.confidence)
@@ -262,8 +254,10 @@ def _joined(
     together = column("together", no_floats).masked_fill(matches.indices[:, 0] < 0, 0)
     confidence = Confidence(column("right", no_floats), column("spread", no_floats), together)
     follows = column("follows", np.zeros(0, bool))
+    fused = any(len(decision.taken.weights) > 1 for decision in decisions.values())
+    kinds = [score_is(followed, fused) for followed in follows.tolist()]
     settled = torch.ones_like(follows)
     if steps.follow == "online":
         lengths = [len(decision.follows) for decision in decisions.values()]
         settled = torch.tensor([n >= MIN_FRAMES for length in lengths for n in range(length)])
-    return Recognised(matches, confidence, used, courses, follows, settled)
+    return Recognised(matches, confidence, used, courses, follows, kinds, settled)

@@ -19,7 +19,7 @@ from ..datasets.poses import Pose
 from ..evaluation.ground_truth_files import PartialTruth, known_matches
 from ..evaluation.thresholds import SURE_PRECISION
 from ..recognition.matching import Matches, candidates_table
-from ..recognition.recognise import Confidence, Recognised, score_is
+from ..recognition.recognise import Confidence, Recognised
 
 
 class Candidate(NamedTuple):
@@ -133,15 +133,15 @@ class Answers:
         self.matches = Matches(scores, indices.masked_fill(unsure, -1))
 
     def __len__(self) -> int:
-        return len(self.queries)
+        return len(self.queries.frames)
 
     def __iter__(self) -> Iterator[Answer]:
-        of, fused = self.recognised, self.recognised.fused
-        lists = (*self.matches, of.follows, of.sure.right, of.settled)
-        queries = zip(self.queries.frames, *(column.tolist() for column in lists), strict=True)
-        for query, scores, rows, followed, sure, settled in queries:
+        of = self.recognised
+        lists = [column.tolist() for column in (*self.matches, of.sure.right, of.settled)]
+        queries = zip(self.queries.frames, of.score_is, *lists, strict=True)
+        for query, kind, scores, rows, sure, settled in queries:
             candidates = candidates_of(self.references, scores, rows)
-            yield Answer(query, candidates, score_is(followed, fused), sure, settled=settled)
+            yield Answer(query, candidates, kind, sure, settled=settled)
 
     def __repr__(self) -> str:
         return f"<Answers: {len(self)} queries, {self.estimate.accepted} accepted>"

@@ -20,7 +20,9 @@ from ..descriptor import SSRVLAD
 from ..encoding.encoder import check_segmenter, encode_to_memory
 from ..encoding.results import Progress, Skipped, do_nothing
 from ..encoding.source import SelectedFrames
+from ..evaluation.measure import TOP
 from ..native.map import DescriptorMap
+from ..recognition.matching import checked_number
 from ..recognition.recognise import Recognised, Steps, recognise
 from ..recognition.sequences import MIN_FRAMES, runs
 from ..recognition.sweep import COLUMNS
@@ -65,6 +67,8 @@ def search(
             )
     if not len(database):
         raise ValueError(f"{database.path} holds no frames yet")
+    most = max(len(database), TOP)
+    top = most if isinstance(top, int) and top > most else checked_number("top", top, least=1)
     if source.database:
         queries, folders = _stored_queries(database, source, source.database, used)
         skipped = list[Skipped]()
@@ -78,7 +82,9 @@ def search(
     exact = temporal or steps.follow == "online"  # a shortlist is made of all queries
     shortlist, reason = (None, "") if exact else open_shortlist(database, used)
     references = shortlist.frames if shortlist else database.load()
-    where = np.ones(len(references), bool) if sequences is None else select(references, sequences)
+    where = np.ones(len(references.frames), bool)
+    if sequences is not None:
+        where = select(references, sequences)
     if near:
         poses = np.where(where[:, None], references.poses, np.nan)
         where &= near.rows(poses, database.path)
@@ -122,11 +128,12 @@ def space_of_queries(
 ) -> LabelSpace:
     """The label space of a source that is to be described by some channels of a database. One that
     lacks a channel, and a network whose features are others, are a ValueError."""
-    if not source.segmenter and any(channel.lacks(None) for channel in channels):
-        raise no_channels(database, channels)
     space = label_space(source.labels_as)
-    head = SSRVLAD(dataclasses.replace(database.config, labels_as=space))
-    check_segmenter(source.segmenter, head, channels)
+    if source.segmenter:
+        head = SSRVLAD(dataclasses.replace(database.config, labels_as=space))
+        check_segmenter(source.segmenter, head, channels)
+    elif any(channel.lacks(None) for channel in channels):
+        raise no_channels(database, channels)
     return space
 
 

@@ -192,7 +192,7 @@ def evaluate_answers(
         "fingerprint": config.fingerprint,
         "temporal": answers.temporal,
         "steps": answers.recognised.used,
-        "score_is": answers.recognised.score_is(),
+        "score_is": " or ".join(sorted(set(answers.recognised.score_is))),
     }
     sure = answers.recognised.confidence.numpy()
     recognition = Recognition(

@@ -9,7 +9,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ...encoding.selection import FrameSelection
+from ...encoding.selection import STDIN, FrameSelection
 from ...evaluation.loops import EVEN
 from ...evaluation.metrics import fraction
 from ...loops.config import LoopConfig
@@ -61,7 +61,7 @@ def loops(
     from ...loops import stream
     from ...loops.picture import draw_loops
 
-    live = source.is_live
+    live = STDIN in source.paths
     config = LoopConfig(exclude, threshold, sweep)
     stored = Database.open(memory) if memory and Database.exists(memory) else None
     if picture:

@@ -52,7 +52,7 @@ def query(
 
     if picture:
         require_picture(picture)
-    if source.is_live:
+    if STDIN in source.paths:
         refused: dict[str, object] = {"--from-sequence": from_sequence, "--exclude": exclude}
         refused |= {"--picture": picture, "--temporal": recognition.temporal}
         refused |= {"--max-wrong": recognition.max_wrong}
