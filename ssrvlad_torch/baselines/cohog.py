@@ -16,8 +16,6 @@ from ..channels.channel import View, batches
 from ..channels.hog import CELL, cell_histograms, grays, resize
 
 ORIENTATIONS = 8
-REGION_NUMBERS = 4 * ORIENTATIONS
-"""Numbers in a region's descriptor: the histograms of its 2 x 2 cells."""
 
 SIDE, THRESHOLD = 512, 0.4
 """Sides of a picture in pixels, and the least mean entropy of a chosen region, a fraction of 8

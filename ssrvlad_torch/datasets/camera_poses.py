@@ -52,13 +52,6 @@ def optical_axis(quaternion: Sequence[float]) -> tuple[float, float, float]:
     return axes_of(quaternion)[2]
 
 
-def _ground_of(down: Sequence[float]) -> Ground:
-    """The ground plane of a world in which a direction points down, about along one of its axes."""
-    vertical = max(range(3), key=lambda axis: abs(down[axis]))
-    first, second = (vertical + 1) % 3, (vertical + 2) % 3
-    return Ground(second, first) if down[vertical] > 0 else Ground(first, second)
-
-
 def words_of(path: Path, text: str) -> Iterator[tuple[str, list[str]]]:
     """Place, "PATH line NUMBER", and words of each line that is not empty or a ``#`` comment."""
     for number, line in enumerate(text.splitlines(), 1):
@@ -88,7 +81,9 @@ def read_colmap(path: Path, text: str) -> dict[str, Pose]:
             centre = [-sum(a[i] * t for a, t in zip(axes, shift, strict=True)) for i in range(3)]
             cameras[words[9].strip()] = centre, axes
     down = [sum(axes[1][i] for _, axes in cameras.values()) for i in range(3)]
-    ground = _ground_of(down)
+    vertical = max(range(3), key=lambda axis: abs(down[axis]))
+    first, second = (vertical + 1) % 3, (vertical + 2) % 3
+    ground = Ground(second, first) if down[vertical] > 0 else Ground(first, second)
     return {name: ground.pose(centre, axes[2]) for name, (centre, axes) in cameras.items()}
 
 

@@ -92,7 +92,20 @@ def head_model(
     dtype = dtype or DTYPES[0]
     _check(head, input, dtype, shape)
     golden = golden_pair(head, input, dtype, shape)
-    model = _graph(head, input, dtype, shape)
+    axes: Axes = shape or ("B", "H", "W")
+    example = torch.zeros(shape or (2, *SIZE), dtype=getattr(torch, dtype))
+    if input == "logits":
+        channels = head.label_space.channel_counts[-1]
+        axes = (axes[0], channels if shape else "C", *axes[1:])
+        example = example.new_zeros((len(example), channels, *example.shape[1:]), dtype=torch.float)
+    swept = [len(columns)] if columns else []
+    outputs: dict[str, Axes] = {
+        "descriptor": [axes[0], *swept, config.length],
+        "unknown": [axes[0]],
+    }
+    if config.aggregation == "residuals":
+        outputs["keypoints"] = [axes[0], CATEGORY_COUNT]
+    model = traced(head, {input: (example, axes)}, outputs, "counted")
     model.ir_version = 8  # the newest that ONNX Runtime 1.17 reads
     model.producer_name = "ssrvlad_torch"
     model.doc_string = "SSR-VLAD (arXiv 2202.03677): segmentation label maps to place descriptors"
@@ -101,26 +114,6 @@ def head_model(
     model.producer_version = metadata.version
     onnx.helper.set_model_props(model, metadata.to_properties())
     return model
-
-
-def _graph(
-    head: SSRVLAD, input: str, dtype: str, shape: tuple[int, int, int] | None
-) -> onnx.ModelProto:
-    config = head.config
-    axes: Axes = shape or ("B", "H", "W")
-    example = torch.zeros(shape or (2, *SIZE), dtype=getattr(torch, dtype))
-    if input == "logits":
-        channels = head.label_space.channel_counts[-1]
-        axes = (axes[0], channels if shape else "C", *axes[1:])
-        example = example.new_zeros((len(example), channels, *example.shape[1:]), dtype=torch.float)
-    swept = [len(head.columns)] if head.columns else []
-    outputs: dict[str, Axes] = {
-        "descriptor": [axes[0], *swept, config.length],
-        "unknown": [axes[0]],
-    }
-    if config.aggregation == "residuals":
-        outputs["keypoints"] = [axes[0], CATEGORY_COUNT]
-    return traced(head, {input: (example, axes)}, outputs, "counted")
 
 
 def _check(head: SSRVLAD, input: str, dtype: str, shape: tuple[int, int, int] | None) -> None:

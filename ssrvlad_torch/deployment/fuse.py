@@ -43,11 +43,6 @@ HEAD = "ssrvlad/"
 STEPS = 4
 """Of `fuse`: the golden image, the network, the head, the file."""
 
-OF_TRACES = (
-    "; a network that computes with the size in Python becomes a graph for the traced size; a "
-    "fixed size mends it, size: [H, W] in a YAML file"
-)
-
 
 @dataclass(frozen=True)
 class FusedNetwork:
@@ -224,7 +219,11 @@ def _golden(run: Run, expected: Arrays, head: SSRVLAD, segmenter: Segmenter) -> 
     if problem:
         traced = not isinstance(segmenter.network, OnnxNetwork)
         sized = isinstance(segmenter.config.size, tuple)
-        raise ValueError(f"of a golden image, {problem}{OF_TRACES if traced and not sized else ''}")
+        hint = (
+            "; a network that computes with the size in Python becomes a graph for the traced "
+            "size; a fixed size mends it, size: [H, W] in a YAML file"
+        )
+        raise ValueError(f"of a golden image, {problem}{hint if traced and not sized else ''}")
     golden = {name: outputs.get(name, array) for name, array in expected.items()}
     if "descriptor" not in outputs:
         return golden

@@ -43,7 +43,16 @@ def from_file(
     from 0 in the order of ``queries`` and ``references``. A file that cannot be read, has another
     form or size, names an unknown reference, has no entry for any of the queries, or has an entry
     that fits several frames is a ValueError; so is a pickle, with how to convert it."""
-    content = _read(Path(path))
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in _READERS:
+        expected = ", ".join(_READERS)
+        raise ValueError(f"cannot read the ground truth {path}: expected a file in {expected}")
+    try:
+        check_regular(path)
+        content = _READERS[suffix](path)
+    except Exception as error:  # decoders raise any exception on damaged bytes
+        raise ValueError(f"cannot read the ground truth {path}: {one_line(error)}") from error
     try:
         if isinstance(content, dict):
             return _from_pairs(content, queries, references)
@@ -52,18 +61,6 @@ def from_file(
         return _from_matrix(content, len(queries), len(references)), []
     except ValueError as error:
         raise ValueError(f"ground truth {path} {error}") from error
-
-
-def _read(path: Path) -> Pairs | Numbers | Matrix:
-    suffix = path.suffix.lower()
-    if suffix not in _READERS:
-        expected = ", ".join(_READERS)
-        raise ValueError(f"cannot read the ground truth {path}: expected a file in {expected}")
-    try:
-        check_regular(path)
-        return _READERS[suffix](path)
-    except Exception as error:  # decoders raise any exception on damaged bytes
-        raise ValueError(f"cannot read the ground truth {path}: {one_line(error)}") from error
 
 
 def known_matches(truth: PartialTruth) -> tuple[list[int], list[Rows]]:
