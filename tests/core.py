@@ -52,10 +52,16 @@ def chance_of(values, rows=None, matching=-1):
     return Chance(chance, rival.value)
 
 
-def mapped(chances, together, best=1.0):
+def mapped(chances, together):
     numbers, has = doubles(chances), np.empty(len(chances))
-    settings = ctypes.c_double(together), ctypes.c_double(best)
-    library().mapped(pointer(numbers), ctypes.c_int64(numbers.size), *settings, pointer(has))
+    settings = ctypes.c_int64(numbers.size), ctypes.c_double(together)
+    library().mapped(pointer(numbers), *settings, pointer(has))
+    return has
+
+
+def mapped_along(nearer):
+    numbers, has = doubles(nearer), np.empty(len(nearer))
+    library().mapped_along(pointer(numbers), ctypes.c_int64(numbers.size), pointer(has))
     return has
 
 

@@ -14,8 +14,13 @@ double chance(const double *values, const Size *rows, Size count, Size matching,
   return chance.chance;
 }
 
-void mapped(const double *chances, Size queries, double together, double best, double *has) {
-  const auto probabilities = mapped({chances, chances + queries}, together, best);
+void mapped(const double *chances, Size queries, double together, double *has) {
+  const auto probabilities = mapped({chances, chances + queries}, together);
+  std::copy(probabilities.begin(), probabilities.end(), has);
+}
+
+void mapped_along(const double *nearer, Size queries, double *has) {
+  const auto probabilities = mapped_along({nearer, nearer + queries});
   std::copy(probabilities.begin(), probabilities.end(), has);
 }
 

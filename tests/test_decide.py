@@ -282,17 +282,17 @@ def test_scores_that_are_no_cosines_are_refused(score, mode):
     queries=st.sampled_from((1, 7, 60)),
     right=st.sampled_from((0, 0.5, 1)),
     followed=st.booleans(),
-    best=st.sampled_from((1.0, 0.3)),
 )
-def test_what_the_map_has_and_confidence_are_those_of_the_oracle(
-    seed, queries, right, followed, best
-):
+def test_what_the_map_has_and_confidence_are_those_of_the_oracle(seed, queries, right, followed):
     rng = np.random.default_rng(seed)
-    chances = np.where(rng.random(queries) < right, rng.random(queries) ** 6, rng.random(queries))
-    chances[rng.random(queries) < 0.1] = 1 if best < 1 else np.nan
+    is_right, empty = rng.random(queries) < right, rng.random(queries) < 0.1
+    chances = np.where(is_right, rng.random(queries) ** 6, rng.random(queries))
+    nearer = rng.normal(np.where(is_right, 4, 1.9), rng.choice([1, 5]))
+    chances[empty] = nearer[empty] = np.nan
     together = single.answers_together(np.sort(rng.integers(0, 100, queries)))
-    has = oracle.mapped(chances, together, best)
-    np.testing.assert_allclose(single.mapped(chances, together, best), has, atol=1e-9)
+    has = oracle.mapped_along(nearer) if followed else oracle.mapped(chances, together)
+    of_core = single.mapped_along(nearer) if followed else single.mapped(chances, together)
+    np.testing.assert_allclose(of_core, has, atol=1e-9)
     of_core, expected = (
         side.confidence(chances, has, together, followed) for side in (single, oracle)
     )

@@ -215,17 +215,23 @@ const std::vector<Point> &prior() {
   return points;
 }
 
+// The queries that have an answer.
+std::vector<std::size_t> answered(const std::vector<double> &numbers) {
+  std::vector<std::size_t> queries;
+  for (std::size_t query = 0; query < numbers.size(); ++query)
+    if (!std::isnan(numbers[query])) queries.push_back(query);
+  return queries;
+}
+
 // The answers of a drive: the queries that have one, how far each is ahead, and the logarithm of that.
 struct Answers {
   std::vector<std::size_t> queries;
   std::vector<double> ahead, logs;
 
-  explicit Answers(const std::vector<double> &chances) {
-    for (std::size_t query = 0; query < chances.size(); ++query) {
+  explicit Answers(const std::vector<double> &chances) : queries(answered(chances)) {
+    for (const std::size_t query : queries) {
       const double chance = chances[query];
-      if (std::isnan(chance)) continue;
       const double far = chance > 0 ? -log_of(std::max(chance, 1e-300)) : MODEL.most_ahead;
-      queries.push_back(query);
       ahead.push_back(std::min(std::max(far, LEAST_AHEAD), MODEL.most_ahead));
       logs.push_back(log_of(ahead.back()));
     }
@@ -298,51 +304,57 @@ class Stretches {
   std::vector<double> mapped_, likely_, once_;
 };
 
-// How much likelier the chance of each answer by its query alone is where the map has the place than where it
-// lacks it, at a point of the prior; answers that err together count as one.
-void compare_alone(const Point &point, const Answers &answers, const std::vector<char> &is_best,
-          double together, double best, double *likelier) {
-  on_cpu([=, &point, &answers, &is_best](auto) {
-    compare(point, answers, likelier);
-    const double other = point.wrong < 1 - best ? point.wrong / (1 - best) : 1;
-    for (Size answer = 0; answer < answers.count(); ++answer) {
-      const double ratio = is_best[answer] ? point.wrong + likelier[answer] / best : other;
-      likelier[answer] = exp_of(log_of(ratio) / together);
-    }
-  });
+// The probability that the map has the place of each of the queries: the mean over points, each weighed by how
+// likely it makes the queries. `compare` tells how much likelier they are at a point where the map has the place.
+template <typename Compare>
+std::vector<double> mapped_at(const std::vector<double> &log_weights, const std::vector<std::size_t> &queries,
+                              std::size_t all, Compare compare) {
+  const Size count = static_cast<Size>(queries.size());
+  std::vector<double> likelier(queries.size()), weights, result(all);
+  Stretches stretches(count);
+  for (std::size_t point = 0; point < log_weights.size(); ++point) {
+    compare(point, likelier.data());
+    weights.push_back(log_weights[point] + stretches.learn(likelier.data(), count));
+  }
+  normalise(weights);
+  for (std::size_t point = 0; point < weights.size(); ++point) {
+    if (weights[point] < NEGLIGIBLE) continue;
+    compare(point, likelier.data());
+    stretches.learn(likelier.data(), count);
+    const std::vector<double> &smoothed = stretches.smooth(likelier.data(), count);
+    for (std::size_t answer = 0; answer < queries.size(); ++answer)
+      result[queries[answer]] += weights[point] * smoothed[answer];
+  }
+  for (double &value : result) value = std::min(value, 1.0);
+  return result;
 }
 }  // namespace
 
-std::vector<double> mapped(const std::vector<double> &chances, double together, double best) {
+std::vector<double> mapped(const std::vector<double> &chances, double together) {
   const Answers answers(chances);
-  const Size count = answers.count();
-  std::vector<char> is_best;
-  for (const std::size_t query : answers.queries)
-    is_best.push_back(best == 1 || chances[query] < 1);
-  std::vector<double> likelier(answers.ahead);
-  const auto compare_with = [&](const Point &point) {
-    compare_alone(point, answers, is_best, together, best, likelier.data());
-  };
-  Stretches stretches(count);
+  std::vector<double> log_weights;
+  for (const Point &point : prior()) log_weights.push_back(point.log_weight);
+  return mapped_at(log_weights, answers.queries, chances.size(), [&](std::size_t number, double *likelier) {
+    const Point &point = prior()[number];
+    on_cpu([=, &point, &answers](auto) {
+      compare(point, answers, likelier);
+      for (Size answer = 0; answer < answers.count(); ++answer)
+        likelier[answer] = exp_of(log_of(point.wrong + likelier[answer]) / together);
+    });
+  });
+}
 
-  std::vector<double> weights;
-  for (const Point &point : prior()) {
-    compare_with(point);
-    weights.push_back(point.log_weight + stretches.learn(likelier.data(), count));
-  }
-  normalise(weights);
-
-  std::vector<double> all(chances.size());
-  for (std::size_t number = 0; number < weights.size(); ++number) {
-    if (weights[number] < NEGLIGIBLE) continue;
-    compare_with(prior()[number]);
-    stretches.learn(likelier.data(), count);
-    const std::vector<double> &smoothed = stretches.smooth(likelier.data(), count);
-    for (std::size_t answer = 0; answer < likelier.size(); ++answer)
-      all[answers.queries[answer]] += weights[number] * smoothed[answer];
-  }
-  for (double &value : all) value = std::min(value, 1.0);
-  return all;
+std::vector<double> mapped_along(const std::vector<double> &nearer) {
+  const std::vector<std::size_t> queries = answered(nearer);
+  const std::vector<double> log_weights(static_cast<std::size_t>(MODEL.levels));
+  return mapped_at(log_weights, queries, nearer.size(), [&](std::size_t number, double *likelier) {
+    const double level = MODEL.chance_nearer + MODEL.most_nearer * static_cast<double>(number) / (MODEL.levels - 1);
+    for (std::size_t answer = 0; answer < queries.size(); ++answer) {
+      const double away = nearer[queries[answer]] - level, by_chance = nearer[queries[answer]] - MODEL.chance_nearer;
+      const double log = std::min((by_chance * by_chance - away * away) / 2, MODEL.most_log);
+      likelier[answer] = exp_of(log / MODEL.nearer_together);
+    }
+  });
 }
 
 Confidence Confidence::of(const std::vector<double> &chances, const std::vector<double> &mapped,

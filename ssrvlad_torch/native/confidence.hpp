@@ -29,11 +29,13 @@ Chance chance_of(const double *values, const Rows &rows, Size matching);
 // How many neighbouring queries have one answer, by the best rivals of a drive.
 double answers_together(const std::vector<Size> &rivals);
 
-// The probability that the map has the place of each query of a drive, by the chance of its answer by this
+// The probability that the map has the place of each query of a sequence, by the chance of its answer by this
 // query alone, NaN without an answer; so many neighbouring queries err together. 0 without an answer.
-// `best` is how often a wrong answer is the best of its query: 1 if it was judged alone; if it is less, the
-// chance of an answer that is not the best is 1.
-std::vector<double> mapped(const std::vector<double> &chances, double together, double best);
+std::vector<double> mapped(const std::vector<double> &chances, double together);
+// The same of a sequence that is followed, by how many deviations the place of each answer is nearer to its query
+// than all rows in the mean, NaN without an answer. Where the map lacks the place, that is `chance_nearer`; how
+// much nearer the right places are, the sequence shows.
+std::vector<double> mapped_along(const std::vector<double> &nearer);
 
 // Of each answer the probability that it is right, and its standard deviation; 0 without an answer.
 struct Confidence {

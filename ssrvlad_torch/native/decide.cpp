@@ -117,9 +117,9 @@ double mean(const std::vector<float> &values) {
          static_cast<double>(std::max<std::size_t>(1, values.size()));
 }
 
-// The places of a course, and the chance of each by its query alone.
+// The places of a course, and by how many deviations each is nearer to its query than all rows in the mean.
 struct Followed : Places {
-  std::vector<double> alone;
+  std::vector<double> nearer;
 
   using Places::Places;
 };
@@ -136,7 +136,7 @@ std::vector<std::vector<Size>> streams_of(const Course &course, const std::vecto
 Followed follow_course(const Evidence &evidence, const Likeness &likeness, const Course &course, Size top) {
   const Filter filter(evidence.map(), Motion().at(course.rate), {course.way});
   Followed places(evidence.queries(), top);
-  places.alone.resize(places.chance.size());
+  places.nearer.resize(places.chance.size());
   for (const std::vector<Size> &stream : streams_of(course, in_order(evidence.queries()))) {
     Places followed(static_cast<Size>(stream.size()), top);
     follow_offline(filter, evidence, stream, followed);
@@ -150,13 +150,13 @@ Followed follow_course(const Evidence &evidence, const Likeness &likeness, const
         sights.push_back(evidence.beside(stream[next]));
       for (; first < at - MODEL.around; ++first) sights.pop_front();
       near.assign(rows.begin() + first, rows.begin() + next);
-      const auto [around, alone] = chances_around(filter, sights, near, at - first, MODEL.around);
+      const auto [around, nearer] = chances_around(filter, sights, near, at - first, MODEL.around);
       const auto from = static_cast<std::ptrdiff_t>(at) * top, to = stream[at] * top;
       std::copy_n(followed.scores.begin() + from, top, places.scores.begin() + to);
       std::copy_n(followed.rows.begin() + from, top, places.rows.begin() + to);
       places.near[stream[at]] = followed.near[at];
       places.chance[stream[at]] = lingers[at] ? 1 : std::max(followed.chance[at], around);
-      places.alone[stream[at]] = lingers[at] ? 1 : alone;
+      places.nearer[stream[at]] = nearer;
     }
   }
   return places;
@@ -166,11 +166,11 @@ Followed follow_course(const Evidence &evidence, const Likeness &likeness, const
 // stays one.
 void take(const Followed &places, double together, Decision &decision) {
   const Size queries = static_cast<Size>(decision.right.size()), top = decision.top;
-  std::vector<double> chances = places.chance, alone = places.alone;
+  std::vector<double> chances = places.chance, nearer = places.nearer;
   for (Size query = 0; query < queries; ++query)
     if (decision.rows[query * top] < 0)
-      chances[query] = alone[query] = std::numeric_limits<double>::quiet_NaN();
-  const std::vector<double> mapped = places::mapped(alone, together, MODEL.best);
+      chances[query] = nearer[query] = std::numeric_limits<double>::quiet_NaN();
+  const std::vector<double> mapped = mapped_along(nearer);
   const double followed = mean(Confidence::of(chances, mapped, together, false).right);
   if (followed <= mean(decision.right) + (decision.gain > MODEL.sequence_gain ? -MODEL.margin : MODEL.margin)) return;
   decision.followed = true;
@@ -249,7 +249,7 @@ Decision decide(const Listing &listing, const Scores &scores, bool follow, Size 
   if (follow) std::tie(decision.course, decision.gain) = course_of(evidence);
   if (decision.gain > 0) doubt_lingering(decision, judged);
   const double together = judged.together;
-  assure(judged.chances, mapped(judged.chances, together, 1), together, decision);
+  assure(judged.chances, mapped(judged.chances, together), together, decision);
   if (decision.gain > 0) {
     decision.gain /= static_cast<double>(evidence.queries());
     const Course course = decision.course;

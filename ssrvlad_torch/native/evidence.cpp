@@ -37,20 +37,26 @@ std::vector<Size> best_of(const std::vector<float> &values, Size top) {
   return best;
 }
 
+// The highest of values of the rows of a sight at the place of a row, NONE without one.
+double highest_near(const std::vector<float> &values, const Sight &sight, const Drives &drives, Size row) {
+  float most = NONE;
+  for (const Run &run : sight.rows.runs) {
+    if (run.drive != drives.of(row)) continue;
+    const Size first = std::max(row - MODEL.near, run.first), last = std::min(row + MODEL.near + 1, run.last);
+    for (Size other = first; other < last; ++other) most = std::max(most, values[run.at + other - run.first]);
+  }
+  return static_cast<double>(most);
+}
+
 // How a row compares with its rivals by values of the rows of a sight; 1 if a row elsewhere is better
 // than all that are `near` it.
-double chance_near(const std::vector<float> &values, const Sight &sight, const Drives &drives,
-                   Size row) {
-  std::vector<double> known(values.begin(), values.end());
-  double near = static_cast<double>(NONE), best = near;
-  for (const Run &run : sight.rows.runs)
-    for (Size each = run.first; each < run.last; ++each) {
-      double &value = known[run.at + each - run.first];
-      if (sight.scores[run.at + each - run.first] == NONE) value = static_cast<double>(NONE);
-      best = std::max(best, value);
-      if (std::abs(each - row) <= MODEL.near && run.drive == drives.of(row)) near = std::max(near, value);
-    }
-  return near < best ? 1 : chance_of(known.data(), sight.rows, sight.matching).chance;
+double chance_near(std::vector<float> values, const Sight &sight, const Drives &drives, Size row) {
+  for (std::size_t place = 0; place < values.size(); ++place)
+    if (sight.scores[place] == NONE) values[place] = NONE;
+  if (highest_near(values, sight, drives, row) < static_cast<double>(*std::max_element(values.begin(), values.end())))
+    return 1;
+  const std::vector<double> numbers(values.begin(), values.end());
+  return chance_of(numbers.data(), sight.rows, sight.matching).chance;
 }
 
 }  // namespace
@@ -167,7 +173,7 @@ void place(const Filter &filter, const Sight &sight,
 
 std::pair<double, double> chances_around(const Filter &filter, const std::deque<std::shared_ptr<const Sight>> &sights,
                                          const std::vector<Size> &rows, Size at, Size later) {
-  if (rows[at] < 0) return {1, 1};
+  if (rows[at] < 0) return {1, std::numeric_limits<double>::quiet_NaN()};
   const Drives &drives = filter.drives();
   const auto [least, most] = filter.reach();
   const Size longest = std::max(-least, most);
@@ -190,7 +196,7 @@ std::pair<double, double> chances_around(const Filter &filter, const std::deque<
       if (rows[other] < 0 || std::abs(rows[other] - rows[other - way]) > longest) break;
       take(other);
     }
-  return {chance_near(total, here, drives, rows[at]), chance_near(here.z, here, drives, rows[at])};
+  return {chance_near(total, here, drives, rows[at]), highest_near(here.z, here, drives, rows[at])};
 }
 
 std::vector<Course> courses() {

@@ -115,7 +115,7 @@ void place(const Filter &filter, const Sight &sight,
 // How the row of an answer compares with its rivals by the sights of the neighbouring queries of a stream, as far
 // as no step between the rows of their answers is longer than the filter can make: `around` earlier ones, and so
 // many later. The value of a row is the sum of the deviations of these queries along the same path, moved to it.
-// And by the query alone. 1 if a row elsewhere is better.
+// 1 if a row elsewhere is better. And by how many deviations the place of the answer is nearer to the query.
 std::pair<double, double> chances_around(const Filter &filter, const std::deque<std::shared_ptr<const Sight>> &sights,
                                          const std::vector<Size> &rows, Size at, Size later);
 

@@ -65,7 +65,10 @@ struct PlaceModel {
   double stretch = 200;      // mean number of frames whose places the map has, or lacks; drives
   double slope = 0.25, deviation = 0.6;  // of right answers the median rate, and the deviation of its logit; drives
   double few = 2;            // power of the density of the fraction of wrong answers, if followed; drives
-  double best = 0.3333333333333333;  // how often a wrong followed answer is the best of its frame; counted
+  double chance_nearer = 1.9;   // deviations by which the place of a followed answer is nearer by chance; counted
+  double nearer_together = 2;   // neighbouring queries that are so alike that they count as one; drives
+  double most_nearer = 6;       // more, at which right ones are; a grid of so many levels fine enough; defined
+  std::int64_t levels = 13;
   double most_ahead = 20;    // minus the logarithm of a chance, at most; by hand
   std::int64_t fractions = 15, rates = 11, shapes = 2;  // points of the prior: a grid fine enough; defined
   double most_away = 2.5;    // deviations of the rates of the grid; defined

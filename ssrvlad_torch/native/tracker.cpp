@@ -171,10 +171,10 @@ Tracker::Chances Tracker::chances_of(Size query, Places &places) {
     rows.push_back(place.row);
   }
   const auto at = static_cast<Size>(std::find(queries.begin(), queries.end(), query) - queries.begin());
-  const auto [around, itself] = chances_around(course_->filter, sights, rows, at, std::min(MODEL.around, delay_));
+  const auto [around, nearer] = chances_around(course_->filter, sights, rows, at, std::min(MODEL.around, delay_));
   const bool stays = lingers(query, queries, rows);
   chances.around = stays ? 1 : std::max(places.chance.front(), around);
-  chances.itself = stays ? 1 : itself;
+  chances.nearer = nearer;
   return chances;
 }
 
@@ -182,7 +182,7 @@ Answer Tracker::answer() {
   Answer answer = std::move(alone_.front());
   Places places(1, top_);
   Chances chances = chances_of(answer.query, places);
-  if (answer.rows.front() < 0) chances.alone = chances.around = chances.itself = NO_ANSWER;
+  if (answer.rows.front() < 0) chances.alone = chances.around = chances.nearer = NO_ANSWER;
   alone_.pop_front();
   chance_.pop_front();
   push(history_, chances, MODEL.memory);
@@ -202,12 +202,12 @@ bool Tracker::is_surer_followed() const {
 
 // How sure an answer is beside those before it.
 void Tracker::judge(const Chances &chances, Places &places, Answer &answer) {
-  std::vector<double> alone, around, itself;
+  std::vector<double> alone, around, nearer;
   std::vector<Size> rivals;
   for (const Chances &before : history_) {
     alone.push_back(before.alone);
     around.push_back(before.around);
-    itself.push_back(before.itself);
+    nearer.push_back(before.nearer);
     if (!std::isnan(before.alone)) rivals.push_back(before.rival);
   }
   double together = answers_together(rivals);
@@ -215,13 +215,13 @@ void Tracker::judge(const Chances &chances, Places &places, Answer &answer) {
   answer.follows = {answer.followed};
   std::vector<double> has;
   if (answer.followed) {
-    has = mapped(itself, together, MODEL.best);
+    has = mapped_along(nearer);
     together = std::max(static_cast<double>(MODEL.around), together);
     answer.scores = places.scores;
     answer.rows = places.rows;
     if (places.rows.front() >= 0) answer.scores.front() = places.near.front();
   } else {
-    has = mapped(alone, together, 1);
+    has = mapped(alone, together);
   }
   if (course_) answer.course = course_->course, answer.gain = gain_;
   const Confidence sure = Confidence::of(answer.followed ? around : alone, has, together, answer.followed);

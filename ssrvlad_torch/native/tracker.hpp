@@ -81,10 +81,10 @@ class Tracker {
     std::deque<Place> &stream(Size query) { return streams[static_cast<std::size_t>(query) % streams.size()]; }
   };
 
-  // The chances of the answer to a query, NaN without one: by the query alone; followed, by the queries around it
-  // and by itself.
+  // The chances of the answer to a query, NaN without one: by the query alone, and followed by the queries around
+  // it; by how many deviations the place is nearer to the query.
   struct Chances {
-    double alone, around, itself;
+    double alone, around, nearer;
     Size rival;
   };
 

@@ -240,25 +240,42 @@ def prior():
     ]
 
 
-def mapped(chances, together, best=1.0):
+def mapped(chances, together):
     """The probability ``(Q,)`` that the map has the place of each query of a drive, by the chance
     of its answer by this query alone, NaN without one: the mean over the prior, each point weighed
-    by how likely it makes all chances; queries that err together count as one. 0 without an answer.
+    by how likely it makes all chances; queries that err together count as one. 0 without an answer."""
+    points = at_points(chances[~np.isnan(chances)])
+    weighed = [(weight, (wrong + likelier) ** (1 / together)) for weight, wrong, likelier in points]
+    return mean_of_points(weighed, chances)
 
-    ``best`` is how often a wrong answer is the best of its query, always if it was judged alone; if
-    not, the chance of an answer is 1 where it is not the best. That speaks against the map as far
-    as other answers of the drive are the best, never for it."""
-    answered, has = ~np.isnan(chances), np.zeros(len(chances))
-    is_best = (chances[answered] < 1) | (best == 1)
-    logs, smoothed = [], []
-    for weight, wrong, likelier in at_points(chances[answered]):
-        ratio = wrong + likelier / best
-        if best < 1:
-            ratio[~is_best] = min(1, wrong / (1 - best))
-        log, states = in_stretches(ratio ** (1 / together))
-        logs.append(math.log(weight) + log)
-        smoothed.append(states)
-    has[answered] = normalised(logs) @ smoothed
+
+LEVELS, MOST_NEARER = int(NUMBERS["levels"]), NUMBERS["most_nearer"]
+CHANCE_NEARER, NEARER_TOGETHER = NUMBERS["chance_nearer"], NUMBERS["nearer_together"]
+
+
+def mapped_along(nearer):
+    """The same of a sequence that is followed, by how many deviations the place of each answer is
+    nearer to its query than all rows in the mean, NaN without one. It is normal, of deviation 1,
+    about `CHANCE_NEARER` where the map lacks the place, else about a level that is as high or
+    higher; `NEARER_TOGETHER` queries count as one."""
+    values = nearer[~np.isnan(nearer)]
+    ratios = [
+        np.exp(
+            np.minimum(((values - CHANCE_NEARER) ** 2 - (values - level) ** 2) / 2, MAX_LOG)
+            / NEARER_TOGETHER
+        )
+        for level in CHANCE_NEARER + np.linspace(0, MOST_NEARER, LEVELS)
+    ]
+    return mean_of_points([(1, ratio) for ratio in ratios], nearer)
+
+
+def mean_of_points(points, numbers):
+    """Of weights and how much likelier the queries that have a number are where the map has their
+    place: the mean probability ``(Q,)`` that it has, each weighed by how likely it makes all."""
+    answered, has = ~np.isnan(numbers), np.zeros(len(numbers))
+    of_points = [(weight, *in_stretches(ratio)) for weight, ratio in points]
+    logs = [math.log(weight) + log for weight, log, _ in of_points]
+    has[answered] = normalised(logs) @ [states for _, _, states in of_points]
     return has
 
 
