@@ -163,7 +163,7 @@ def test_a_map_in_reverse_mirrors_the_way(sequence):
 
 
 def test_a_query_of_scores_that_are_equal_but_for_rounding_says_nothing():
-    scores = noisy([*range(5, 25)], 80)
+    scores = noisy([*range(5, 45)], 80)
     scores[8] = -0.5
     rounded = scores.copy()
     rounded[8] += np.random.default_rng(0).uniform(-1e-6, 1e-6, 80)

@@ -181,6 +181,7 @@ double answers_together(const std::vector<Size> &rivals) {
 
 namespace {
 constexpr double NEGLIGIBLE = 1e-15;  // weight of a point
+constexpr double LEAST_CHANCE = 1e-3;  // less is as sure
 constexpr double LEAST_AHEAD = 1.000500333583534e-3;  // -log of 1 - 1e-3
 
 // A point of the prior: the fraction of wrong answers where the map has the places; of the gamma density of
@@ -355,6 +356,14 @@ std::vector<double> mapped_along(const std::vector<double> &nearer) {
       likelier[answer] = exp_of(log / MODEL.nearer_together);
     }
   });
+}
+
+bool are_hardly_less_ahead(const std::vector<double> &followed, const std::vector<double> &alone) {
+  const auto ahead = [](double chance) { return -log_of(std::max(chance, LEAST_CHANCE)); };
+  double gained = 0;
+  for (std::size_t query = 0; query < followed.size(); ++query)
+    if (!std::isnan(followed[query])) gained += ahead(followed[query]) - ahead(alone[query]);
+  return gained > -MODEL.behind * static_cast<double>(followed.size());
 }
 
 Confidence Confidence::of(const std::vector<double> &chances, const std::vector<double> &mapped,

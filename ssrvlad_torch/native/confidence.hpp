@@ -37,6 +37,10 @@ std::vector<double> mapped(const std::vector<double> &chances, double together);
 // much nearer the right places are, the sequence shows.
 std::vector<double> mapped_along(const std::vector<double> &nearer);
 
+// Whether answers of a sequence that is followed are hardly less ahead of their rivals than alone, by their chances,
+// NaN without one.
+bool are_hardly_less_ahead(const std::vector<double> &followed, const std::vector<double> &alone);
+
 // Of each answer the probability that it is right, and its standard deviation; 0 without an answer.
 struct Confidence {
   std::vector<float> right, spread;

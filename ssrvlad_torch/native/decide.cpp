@@ -100,7 +100,8 @@ std::pair<Course, double> course_of(const Evidence &evidence) {
   if (evidence.queries() < 2) return {};
   const std::vector<Course> tried = courses();
   const auto [best, gain] = likeliest_of(evidence, tried);
-  if (gain <= MODEL.least_gain || gains_at_random(evidence, tried[best], gain)) return {};
+  const double least = std::max(MODEL.least_gain, MODEL.least_rate * static_cast<double>(evidence.queries()));
+  if (gain <= least || gains_at_random(evidence, tried[best], gain)) return {};
   return {tried[best], gain};
 }
 
@@ -110,11 +111,6 @@ void assure(const std::vector<double> &chances, const std::vector<double> &mappe
   decision.right = std::move(sure.right);
   decision.spread = std::move(sure.spread);
   decision.together.assign(chances.size(), static_cast<float>(together));
-}
-
-double mean(const std::vector<float> &values) {
-  return sum(values.data(), static_cast<Size>(values.size())) /
-         static_cast<double>(std::max<std::size_t>(1, values.size()));
 }
 
 // The places of a course, and by how many deviations each is nearer to its query than all rows in the mean.
@@ -162,19 +158,24 @@ Followed follow_course(const Evidence &evidence, const Likeness &likeness, const
   return places;
 }
 
-// Makes a followed decision of one that was made alone, if that makes its answers surer. An empty query
-// stays one.
-void take(const Followed &places, double together, Decision &decision) {
+// Each query by itself.
+struct Judged {
+  std::vector<double> chances;  // NaN without an answer
+  double together;              // how many err together
+  Likeness likeness;            // of a drive that may be followed
+};
+
+// Makes a followed decision of one that was made alone, if that leaves its answers hardly less ahead. An empty
+// query stays one.
+void take(const Followed &places, const Judged &judged, Decision &decision) {
   const Size queries = static_cast<Size>(decision.right.size()), top = decision.top;
   std::vector<double> chances = places.chance, nearer = places.nearer;
   for (Size query = 0; query < queries; ++query)
     if (decision.rows[query * top] < 0)
       chances[query] = nearer[query] = std::numeric_limits<double>::quiet_NaN();
-  const std::vector<double> mapped = mapped_along(nearer);
-  const double followed = mean(Confidence::of(chances, mapped, together, false).right);
-  if (followed <= mean(decision.right) + (decision.gain > MODEL.sequence_gain ? -MODEL.margin : MODEL.margin)) return;
+  if (!are_hardly_less_ahead(chances, judged.chances)) return;
   decision.followed = true;
-  assure(chances, mapped, std::max(static_cast<double>(MODEL.around), together), decision);
+  assure(chances, mapped_along(nearer), std::max(static_cast<double>(MODEL.around), judged.together), decision);
   for (Size query = 0; query < queries; ++query) {
     const Size first = query * top;
     if (decision.rows[first] < 0) continue;
@@ -183,13 +184,6 @@ void take(const Followed &places, double together, Decision &decision) {
     if (places.rows[first] >= 0) decision.scores[first] = places.near[query];
   }
 }
-
-// Each query by itself.
-struct Judged {
-  std::vector<double> chances;  // NaN without an answer
-  double together;              // how many err together
-  Likeness likeness;            // of a drive that may be followed
-};
 
 Judged judge(const Evidence &evidence, bool drive, Decision &decision) {
   const Size queries = evidence.queries();
@@ -248,12 +242,11 @@ Decision decide(const Listing &listing, const Scores &scores, bool follow, Size 
   Judged judged = judge(evidence, follow, decision);
   if (follow) std::tie(decision.course, decision.gain) = course_of(evidence);
   if (decision.gain > 0) doubt_lingering(decision, judged);
-  const double together = judged.together;
-  assure(judged.chances, mapped(judged.chances, together), together, decision);
+  assure(judged.chances, mapped(judged.chances, judged.together), judged.together, decision);
   if (decision.gain > 0) {
     decision.gain /= static_cast<double>(evidence.queries());
     const Course course = decision.course;
-    take(follow_course(evidence, judged.likeness, course, top), together, decision);
+    take(follow_course(evidence, judged.likeness, course, top), judged, decision);
   }
   decision.follows.assign(decision.right.size(), decision.followed);
   if (listing.map.rows < MODEL.min_frames) std::fill(decision.right.begin(), decision.right.end(), 0.0F);

@@ -41,10 +41,8 @@ struct PlaceModel {
   double by_rows = 0.5;      // of the gain that may be left in a random order; by hand, after a table was seen
   double trailing = 10;      // gain by which a course trails and rests; by hand, for speed
   double as_before = 0.5;    // of the gain with which the likeliest must go on, else rested courses do; by hand
-  double sequence_gain = 0.5;  // a frame, that only sequences have; drives
-  double margin = 0.05;      // of mean confidences: by more is followed, or alone; drives
-  double online_rate = 0.1;  // gain a frame of a course online: random frames gain 0 to 0.1; label maps of four pairs
-  double online_behind = 1;  // how much less ahead, as the logarithm of a chance, answers online may be than alone; so too
+  double least_rate = 0.1;     // of that a query: random frames gain 0 to 0.1; label maps of four pairs
+  double behind = 1;           // how much less ahead, as the logarithm of a chance, answers may be than alone; so too
   std::int64_t memory = 200;          // answers by which an answer online is judged; by hand
   std::int64_t replayed = 60;         // frames with which a new course online begins; by hand
 

@@ -15,8 +15,6 @@ void push(std::deque<Value> &values, Value value, Size most) {
   if (static_cast<Size>(values.size()) > most) values.pop_front();
 }
 
-double ahead(double chance) { return -log_of(std::max(chance, 2e-9)); }
-
 bool same(const Course &one, const Course &other) {
   return one.way == other.way && one.rate == other.rate && one.streams == other.streams;
 }
@@ -109,7 +107,7 @@ void Tracker::choose_course() {
   const std::size_t best = likeliest(trial_.gains());
   const double gain = trial_.gains()[best];
   gain_ = gain / static_cast<double>(count_);
-  if (gain <= MODEL.least_gain || gain_ < MODEL.online_rate) {
+  if (gain <= MODEL.least_gain || gain_ < MODEL.least_rate) {
     course_ = nullptr;
   } else if (!course_ || !same(course_->course, courses_[best])) {
     set_course(courses_[best]);
@@ -191,15 +189,6 @@ Answer Tracker::answer() {
   return answer;
 }
 
-// Whether the last answers are not much less ahead of their rivals by the course than alone.
-bool Tracker::is_surer_followed() const {
-  double gained = 0;
-  Size asked = 0;
-  for (auto before = history_.rbegin(); before != history_.rend() && asked < MODEL.min_frames; ++before, ++asked)
-    if (!std::isnan(before->around)) gained += ahead(before->around) - ahead(before->alone);
-  return gained > -MODEL.online_behind * static_cast<double>(asked);
-}
-
 // How sure an answer is beside those before it.
 void Tracker::judge(const Chances &chances, Places &places, Answer &answer) {
   std::vector<double> alone, around, nearer;
@@ -211,7 +200,9 @@ void Tracker::judge(const Chances &chances, Places &places, Answer &answer) {
     if (!std::isnan(before.alone)) rivals.push_back(before.rival);
   }
   double together = answers_together(rivals);
-  answer.followed = course_ && !std::isnan(chances.alone) && is_surer_followed();
+  const auto last = std::min<std::ptrdiff_t>(MODEL.min_frames, static_cast<std::ptrdiff_t>(history_.size()));
+  answer.followed = course_ && !std::isnan(chances.alone) &&
+                    are_hardly_less_ahead({around.end() - last, around.end()}, {alone.end() - last, alone.end()});
   answer.follows = {answer.followed};
   std::vector<double> has;
   if (answer.followed) {

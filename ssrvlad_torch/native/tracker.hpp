@@ -3,7 +3,7 @@
 //
 // What decide.hpp knows of a whole sequence is known here of the queries so far: the mean of the descriptors,
 // the width of the sweep, the weights of the channels, the course, and how many answers are wrong. A sequence
-// is followed where it has a course, and that makes its answers hardly less sure.
+// is followed where it has a course, and that leaves its answers hardly less ahead.
 
 #ifndef SSRVLAD_TRACKER_HPP
 #define SSRVLAD_TRACKER_HPP
@@ -98,7 +98,6 @@ class Tracker {
   Places place_of(Size query);
   bool lingers(Size query, const std::vector<Size> &queries, const std::vector<Size> &rows) const;
   Chances chances_of(Size query, Places &places);
-  bool is_surer_followed() const;
   void judge(const Chances &chances, Places &places, Answer &answer);
 
   const Map &map_;
