@@ -243,7 +243,7 @@ def prior():
 def mapped(chances, together):
     """The probability ``(Q,)`` that the map has the place of each query of a drive, by the chance
     of its answer by this query alone, NaN without one: the mean over the prior, each point weighed
-    by how likely it makes all chances; queries that err together count as one. 0 without an answer."""
+    by how likely it makes all chances; queries that err together count as one. 0 without one."""
     points = at_points(chances[~np.isnan(chances)])
     weighed = [(weight, (wrong + likelier) ** (1 / together)) for weight, wrong, likelier in points]
     return mean_of_points(weighed, chances)
