@@ -51,8 +51,7 @@ class LoSTX:
     """Descriptors of features by class; keypoints rank the best ten references again.
 
     A reference uses the mean features of 15 frames of its sequence, i - 7 to i + 7; a query only
-    its own. Dimensions are not scaled over all queries, as in the authors' program, because a query
-    must not depend on others.
+    its own. Dimensions are not scaled over all queries, as a query must not depend on others.
 
     Args:
         network: a segmentation network, or its name, see `open_network`; or any function with

@@ -82,18 +82,15 @@ def fuse(
     progress: Callable[[int], object] = lambda _: None,
 ) -> FusedNetwork:
     """Joins a segmentation network and the head in one ONNX file, or writes them as two, so that
-    the network can run on an accelerator and the head on the CPU.
-
-    The file labels pictures as `Segmenter` does and describes label maps as `SSRVLAD` does. It is
-    run on a golden image before it is saved, and must agree with both.
+    the network can run on an accelerator and the head on the CPU. The file is run on a golden
+    image, and must agree with `Segmenter` and `SSRVLAD`, before it is saved.
 
     Shape:
         - input: ``image (B, H, W, 3)`` uint8 in RGB, of any size, B at least 1.
-        - outputs: those of `export_head`, and ``labels (B, H, W)`` uint8, or int64 for wider ids.
-          With features also ``features (B, 16, 16, 16)`` uint8, the signs that `Segmenter.segment`
-          gives; all 0 for activations that are not finite or the same everywhere. ``hog (B, 480)``
-          float32 is that of `HOG`. Of two files, the first gives all these, and the second takes
-          the labels.
+        - outputs: those of `export_head`, ``labels (B, H, W)`` uint8, or int64 for wider ids, and
+          ``hog (B, 480)`` float32; with features ``features (B, 16, 16, 16)`` uint8, all 0 for
+          activations that are not finite or the same everywhere. Of two files, the first gives all
+          these, and the second takes the labels.
 
     Args:
         network: a segmenter, or the name of a network; see `open_network`.

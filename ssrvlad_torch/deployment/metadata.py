@@ -34,9 +34,8 @@ class Metadata:
 
     Attributes:
         version: version of this package.
-        config: the settings, as `SSRVLADConfig.to_dict`.
+        config, label_space: as `SSRVLADConfig.to_dict` and `LabelSpace.to_dict`.
         fingerprint: fingerprint of the settings.
-        label_space: the label space, as `LabelSpace.to_dict`.
         interface: ``opset``; ``inputs`` and ``outputs``: ``dtype`` and ``shape`` by name, an axis
             with a name is dynamic; ``sweep``, the anchors, where the head has several.
         golden: an input and the module's outputs for it; each array by name as ``dtype``, ``shape``

@@ -60,9 +60,8 @@ def evaluate(
         resamples, seed: of the `bootstrap`, in blocks of `BLOCK` neighbours; 0 for no intervals.
 
     Returns:
-        ``convention``, ``recall_at`` by N as text, the keys of `FIGURES`, ``queries``,
-        ``queries_with_match``, and with resamples ``intervals``: ``[low, high]`` of each figure.
-        A figure without positives is NaN, and so is the ROC-AUC if every candidate is right.
+        ``convention``, ``recall_at`` by N as text, the keys of `FIGURES`, NaN without positives,
+        ``queries``, ``queries_with_match``, and with resamples ``intervals``: ``[low, high]``.
 
     Where all resamples agree, RecallRate@N, and Recall@100%Precision of 1, have Wilson's interval
     of queries / block independent ones; of other figures both ends are equal, though they are not

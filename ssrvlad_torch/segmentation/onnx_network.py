@@ -30,8 +30,8 @@ CUDA = "CUDAExecutionProvider"
 
 class OnnxNetwork(nn.Module):
     """A graph with one image input: in ONNX Runtime, on CUDA if it supports that, or in OpenVINO on
-    the CPU, in single precision. A missing file, and one that cannot be run or does not take one
-    image, are a ValueError; a missing extra is an ImportError.
+    the CPU, in single precision. Images ``(B, 3, H, W)`` float give a mapping of names to tensors.
+    A file that cannot be run or takes no image is a ValueError; a missing extra is an ImportError.
 
     Attributes:
         size: height and width of the input, ``None`` for a free side.
@@ -39,10 +39,6 @@ class OnnxNetwork(nn.Module):
         outputs: the names of the outputs.
         digest: BLAKE2b-128 of the file and of its external weights, in hex.
         metadata: the metadata properties of the file.
-
-    Shape:
-        - input: ``(B, 3, H, W)`` float, whatever the layout and the dtype of the graph's input.
-        - output: a mapping of the requested names, or all, to tensors.
     """
 
     def __init__(self, path: str | Path, runtime: str = ONNX_RUNTIME) -> None:

@@ -26,8 +26,8 @@ _SIDES = "height and width in pixels, or the shorter side"
 
 @dataclass(frozen=True)
 class SegmenterConfig:
-    """The input of a network. The defaults are those of torchvision, transformers and
-    segmentation-models-pytorch: ImageNet statistics, RGB.
+    """The input of a network; the defaults are ImageNet statistics in RGB, as of torchvision. A
+    setting outside its range is a ValueError that names it.
 
     Attributes:
         size: every image is resized (bilinear, antialiased) to this height and width, or to this
@@ -39,13 +39,9 @@ class SegmenterConfig:
         mean, std: subtracted, then divided by, in the network's order of colours.
         colour_order: ``"rgb"`` or ``"bgr"``.
         output: name of the output to use, if several outputs of the network fit.
-        classes: the first channel of the class scores to use and the one after the last, for a
-            network with more channels than the label space has classes. ``None`` uses all.
+        classes: the first channel of the class scores to use and the one after the last.
         features: names of the activations that are features; ``None`` uses the rule of
             `activations.find_activations`.
-
-    Raises:
-        ValueError: a setting is outside its range; the message names it and what was got.
     """
 
     size: tuple[int, int] | int | None = None
@@ -127,21 +123,10 @@ class SegmenterConfig:
 
 
 class Preparation(nn.Module):
-    """Pictures -> the input of a network: ``nn.Sequential(Preparation(config), network, head)`` is
-    a PyTorch module from pictures to descriptors, which `torch.onnx.export` traces for any size.
-    Pictures are resized by the antialiased bilinear filter of `torch.nn.functional.interpolate`, as
-    of Pillow and of the ONNX operator ``Resize``.
-
-    Shape:
-        - input: ``(B, H, W, 3)`` uint8 in RGB.
-        - output: ``(B, 3, h, w)`` float32.
-
-    Examples:
-        >>> import torch
-        >>> from ssrvlad_torch.segmentation.preparation import Preparation, SegmenterConfig
-        >>> Preparation(SegmenterConfig(size=(64, 128)))(torch.zeros(1, 9, 9, 3)).shape
-        torch.Size([1, 3, 64, 128])
-    """
+    """Pictures ``(B, H, W, 3)`` uint8 in RGB -> the input of a network, ``(B, 3, h, w)`` float32:
+    ``nn.Sequential(Preparation(config), network, head)`` is a PyTorch module from pictures to
+    descriptors, which `torch.onnx.export` traces for any size. Pictures are resized by the
+    antialiased bilinear filter, as of Pillow and of the ONNX operator ``Resize``."""
 
     def __init__(self, config: SegmenterConfig) -> None:
         super().__init__()

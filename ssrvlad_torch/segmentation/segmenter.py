@@ -62,16 +62,14 @@ class _Picture(NamedTuple):
 class Segmenter:
     """Pictures -> label maps, each at the size of its picture.
 
-    The network's output is recognised by its shape (see `choose_output`): class scores at any
-    stride, or integer ids. It may be a tensor (segmentation-models-pytorch), a mapping
-    (torchvision), an object with ``logits`` (transformers) or a tuple. The class of a pixel is
-    decided at the network's own stride (`classes_of`), and the label map is then resized to the
-    size of the picture (`enlarged`).
+    The network's output is recognised by its shape (`choose_output`): class scores at any stride,
+    or integer ids, as a tensor, a mapping, an object with ``logits`` or a tuple. The class of a
+    pixel is decided at the network's own stride, and the label map is resized to the picture
+    (`enlarged`).
 
     Args:
         network: any module that takes ``(B, 3, H, W)`` floats, or an `OnnxNetwork`. It is put into
-            evaluation mode and runs on the device of its weights. It must stay as it is: of one
-            that was trained further, make another segmenter.
+            evaluation mode, runs on the device of its weights, and must stay as it is.
         labels_as: label space of its classes.
         config: the preparation of its pictures, such as that of another segmenter.
         cache: folder in which `segmented` stores its results, by the content of the image file, the
@@ -89,8 +87,7 @@ class Segmenter:
         >>> from ssrvlad_torch import Segmenter
         >>> network = nn.Conv2d(3, 19, 1)
         >>> segmenter = Segmenter(network, "cityscapes-trainids", size=512, colour_order="bgr")
-        >>> (labels,) = segmenter([np.zeros((240, 320, 3), np.uint8)])
-        >>> labels.shape
+        >>> segmenter([np.zeros((240, 320, 3), np.uint8)])[0].shape
         (240, 320)
     """
 

@@ -24,16 +24,13 @@ from .stages import (
 
 
 class SoftSSRVLAD(nn.Module):
-    """Class scores -> place descriptors through which a segmentation network can be trained.
-
-    Each step is that of `SSRVLAD` in real numbers. The module has no weights.
+    """Class scores -> place descriptors through which a segmentation network can be trained: each
+    step of `SSRVLAD` in real numbers.
 
     Args:
-        config: the settings, of the aggregation ``harmonics``; the default is the preset
-            ``default``. The skeletons of ``paper`` have no useful gradient.
-        temperature: it divides the logits. At 1 probabilities stay as they are and the descriptor
-            is near the hard one. Towards 0 it becomes the hard one and gradients vanish; above 1
-            everything is softer.
+        config: the settings, of the aggregation ``harmonics``; by default the preset ``default``.
+        temperature: it divides the logits. At 1 the descriptor is near the hard one; towards 0 it
+            becomes the hard one and gradients vanish; above 1 everything is softer.
 
     Shape:
         - input: ``(B, C, H, W)`` floating class scores: logits, or probabilities, which are
@@ -45,12 +42,6 @@ class SoftSSRVLAD(nn.Module):
     Raises:
         ValueError: the aggregation is another; the temperature is not above 0; `SSRVLAD` refuses
             the input; the input is a label map, or the largest score of a pixel is infinite.
-
-    Examples:
-        >>> import torch
-        >>> from ssrvlad_torch.soft.descriptor import SoftSSRVLAD
-        >>> scores = torch.randn(2, 19, 60, 80, requires_grad=True)
-        >>> SoftSSRVLAD()(scores)[0].sum().backward()
     """
 
     def __init__(self, config: SSRVLADConfig | None = None, temperature: float = 1.0) -> None:
@@ -104,18 +95,13 @@ class SoftSSRVLAD(nn.Module):
 
 
 class SurrogateSSRVLAD(nn.Module):
-    """`SSRVLAD` with the gradient of `SoftSSRVLAD` at temperature 1.
-
-    Args:
-        config: the settings, as for `SoftSSRVLAD`.
+    """`SSRVLAD` with the gradient of `SoftSSRVLAD` at temperature 1; settings and errors are
+    theirs.
 
     Shape:
         - input: ``(B, C, H, W)`` floating class scores; without a gradient, whatever `SSRVLAD`
           takes.
         - output: ``(B, D)`` float32, the descriptors of `SSRVLAD`.
-
-    Raises:
-        ValueError: as `SoftSSRVLAD` and `SSRVLAD`.
     """
 
     def __init__(self, config: SSRVLADConfig | None = None) -> None:

@@ -12,10 +12,8 @@ def multi_similarity(
     beta: float = 50.0,
     base: float = 0.5,
 ) -> Tensor:
-    """Eq. 15 of Wang et al., CVPR 2019, over all pairs, as the mean over the queries.
-
-    The defaults are those of the paper and of ``pytorch_metric_learning``. If every query has a
-    pair, the loss equals that library's ``MultiSimilarityLoss``.
+    """Eq. 15 of Wang et al., CVPR 2019, over all pairs, as the mean over the queries ``()``. The
+    defaults are those of the paper and of ``pytorch_metric_learning``.
 
     Args:
         similarity: ``(Q, R)`` cosines of queries and references.
@@ -25,9 +23,6 @@ def multi_similarity(
         alpha, beta: how much more the hardest pairs of ``same``, and of ``other``, weigh.
         base: the cosine (lambda of the paper) below which pairs of ``same`` weigh most, and above
             which pairs of ``other`` do.
-
-    Returns:
-        ``()``, 0 or more.
 
     Raises:
         ValueError: the shapes differ, or there is no query.

@@ -51,12 +51,6 @@ class Features(nn.Module):
     Raises:
         ValueError: an activation is not finite, or does not vary over the picture, as where it is
             all zero. A graph cannot raise: there all signs are 0, which no other picture has.
-
-    Examples:
-        >>> import torch
-        >>> from ssrvlad_torch.stages.features import Features
-        >>> Features(torch.rand(2, 3, 24, 32))(torch.rand(1, 3, 24, 32)).shape
-        torch.Size([1, 16, 16, 16])
     """
 
     def __init__(self, *noise: Tensor) -> None:

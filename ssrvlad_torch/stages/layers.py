@@ -39,11 +39,9 @@ def _(scores: Tensor) -> Tensor:
 def category_table(space: LabelSpace) -> tuple[Tensor, int]:
     """Look-up table of a label space, and the index of id 0 in it.
 
-    Returns:
-        ``(T,)`` uint8: at ``origin + id`` the category 0 to 7 of the id, `NO_LAYER` for a
-        dynamic or void id, `UNKNOWN` for an id that the space does not define. The table covers
-        ids 0 to 255. Both its ends are unknown, so an id outside the table, clamped, is unknown.
-    """
+    ``(T,)`` uint8: at ``origin + id`` the category 0 to 7 of the id, `NO_LAYER` for a dynamic or
+    void id, `UNKNOWN` for one that the space lacks. The table covers ids 0 to 255. Both its ends
+    are unknown, so an id outside the table, clamped, is unknown."""
     ids = [label.id for label in space.classes]
     origin = 1 - min(0, *ids)
     table = torch.full((origin + max(255, *ids) + 2,), UNKNOWN, dtype=torch.uint8)

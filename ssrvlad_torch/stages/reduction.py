@@ -7,18 +7,11 @@ from ..taxonomy import NO_LAYER
 
 
 def reduce_by_majority(layers: Tensor, grid: tuple[int, int]) -> Tensor:
-    """Reduces maps of layers to a grid; each cell takes the most common layer of its pixels.
+    """``(B, h, w)`` uint8, 0 to `NO_LAYER`: layers ``(B, H, W)`` int32 reduced to a grid ``(h,
+    w)``, not larger; each cell takes the most common layer of its pixels.
 
     Pixel ``(y, x)`` belongs to cell ``(y * h // H, x * w // W)``. `NO_LAYER` is counted like a
-    layer; of equally common ones the lowest wins.
-
-    Args:
-        layers: ``(B, H, W)`` int32, 0 to `NO_LAYER`.
-        grid: ``(h, w)`` with ``h <= H`` and ``w <= W``.
-
-    Returns:
-        ``(B, h, w)`` uint8, 0 to `NO_LAYER`.
-    """
+    layer; of equally common ones the lowest wins."""
     images, height, width = layers.shape
     rows, columns = grid
     kinds = torch.arange(NO_LAYER + 1, dtype=torch.int32, device=layers.device)
