@@ -179,13 +179,8 @@ class Layout:
         return GroundTruth(**self.truth) if self.truth else None
 
 
-_ROLES: dict[str, Role] = {
-    "reference": "reference",
-    "ref": "reference",
-    "database": "reference",
-    "query": "query",
-    "queries": "query",
-}
+_ROLES: dict[str, Role] = {"reference": "reference", "ref": "reference", "database": "reference"}
+_ROLES |= {"query": "query", "queries": "query"}
 _TRUTHS = ("ground_truth.json", "ground_truth.csv", "ground_truth.npy")
 _ONLY_IMAGES = tuple(suffix for suffix in IMAGE_SUFFIXES if suffix not in LABEL_SUFFIXES)
 

@@ -119,10 +119,10 @@ def fuse(
         extractor = None
         if features or (features is None and not segmenter.problem_of_features):
             extractor = segmenter.features
-        head, given = SSRVLAD(config), segmenter.label_space
-        if given != head.label_space:
+        head, space = SSRVLAD(config), segmenter.label_space
+        if space != head.label_space:
             raise ValueError(
-                f"gives labels of {given.name}, the head reads {head.label_space.name}"
+                f"gives labels of {space.name}, the head reads {head.label_space.name}"
             )
         if isinstance(segmenter.network, OnnxNetwork):
             properties = load_model(segmenter.network.path).metadata_props

@@ -40,11 +40,11 @@ def runtime_of(provider: str = CPU) -> Runtime:
         expected = ", ".join((*available, OPENVINO))
         raise ValueError(f"no execution provider {provider!r}; expected one of {expected}")
 
-    def opened(source: Path | bytes) -> Run:
+    def open_graph(source: Path | bytes) -> Run:
         session = open_session(source, "the graph", provider)
         return _by_name(session, [output.name for output in session.get_outputs()])
 
-    return Runtime(f"ONNX Runtime {onnxruntime.__version__}, {provider}", opened)
+    return Runtime(f"ONNX Runtime {onnxruntime.__version__}, {provider}", open_graph)
 
 
 def _compiled(source: Path | bytes) -> Run:

@@ -84,7 +84,7 @@ def verify(
     the signs of features may differ, and its head on label maps. A damaged or other file, and one
     that cannot run in ONNX Runtime on the CPU, are a ValueError; no runtime is an ImportError."""
     path, runtime = Path(path), runtime_of(provider)
-    model, opened = load_model(path), cache(runtime.open)
+    model, open_graph = load_model(path), cache(runtime.open)
     properties = {entry.key: entry.value for entry in model.metadata_props}
     with naming(path):
         metadata, network = Metadata.from_properties(properties), network_in(properties)
@@ -97,7 +97,7 @@ def verify(
         def check(name: str, source: Path | bytes, inputs: Arrays, judge: Judge) -> None:
             """Notes what is wrong with the outputs for some inputs, also if the runtime fails."""
             try:
-                result.checks.append(Check(name, *judge(opened(source)(inputs))))
+                result.checks.append(Check(name, *judge(open_graph(source)(inputs))))
             except Exception as error:  # runtimes have no common error type
                 if provider == CPU:
                     raise
