@@ -2,77 +2,43 @@
 
 #include "compare.hpp"
 
-#include <numeric>
-
 #include "fusion.hpp"
 
 namespace places {
 
-namespace {
-
 constexpr Size IN_MEMORY = Size{1} << 26;  // scores at once
 
-}  // namespace
-
-std::vector<Shared> sharing(const Drives &drives) {
+std::vector<Shared> sharing(const Drives &drives, const float *means, Size length) {
   std::vector<Shared> shared;
   const auto count = static_cast<Size>(drives.starts.size());
-  const auto start = [&](Size drive) { return drives.starts[static_cast<std::size_t>(drive)]; };
-  const auto is_short = [&](Size drive) { return drives.last(drive) - start(drive) < MODEL.min_frames; };
-  for (Size drive = 0, next; drive < count && drives.rows >= MODEL.min_frames; drive = next) {
+  const auto is_short = [&](Size drive) { return drives.last(drive) - drives.starts[drive] < MODEL.min_frames; };
+  for (Size drive = 0; means && drive < count; ++drive)
+    shared.push_back({drives.starts[drive], drives.last(drive), 0, 0, means + drive * length});
+  for (Size drive = 0, next; !means && drive < count && drives.rows >= MODEL.min_frames; drive = next) {
     next = drive + 1;
     while (is_short(drive) && next < count && is_short(next)) ++next;
-    const Size first = start(drive), last = drives.last(next - 1);
+    const Size first = drives.starts[drive], last = drives.last(next - 1);
     const bool enough = last - first >= MODEL.min_frames;
-    shared.push_back({first, last, enough ? first : 0, enough ? last : drives.rows});
+    shared.push_back({first, last, enough ? first : 0, enough ? last : drives.rows, nullptr});
   }
   return shared;
 }
 
-std::vector<Shared> each_alone(const Drives &drives) {
-  std::vector<Shared> shared;
-  for (std::size_t drive = 0; drive < drives.starts.size(); ++drive) {
-    const Size first = drives.starts[drive], last = drives.last(static_cast<Size>(drive));
-    shared.push_back({first, last, first, last});
-  }
-  return shared;
-}
-
-Blocks::Blocks(Size queries, Size rows) : queries_(queries), rows_(rows) {
+Comparison::Comparison(Size queries, Size rows) : queries_(queries), rows_(rows) {
   const Size most = std::max<Size>(1, IN_MEMORY / 4 / std::max<Size>(1, rows));
   size_ = queries * rows <= IN_MEMORY ? std::max<Size>(1, queries) : most;
 }
 
-void Blocks::of(Size query, float *scores) const {
+void Comparison::of(Size query, float *scores) const {
   const Size first = query - query % size_;
   if (first != held_) {
     const Size last = std::min(queries_, first + size_);
     held_ = -1;
-    block_.resize(static_cast<std::size_t>((last - first) * rows_));
+    block_.resize((last - first) * rows_);
     compute(first, last, block_.data());
     held_ = first;
   }
   std::copy_n(block_.data() + (query - first) * rows_, rows_, scores);
-}
-
-namespace {
-class Matrix : public Comparison {
- public:
-  Matrix(const float *scores, Size count, Size rows) : Comparison(count, rows), scores_(scores) {}
-  void of(Size query, float *scores) const override {
-    std::copy_n(scores_ + query * rows(), rows(), scores);
-  }
-
- protected:
-  void compute(Size, Size, float *) const override {}
-
- private:
-  const float *scores_;
-};
-}  // namespace
-
-std::unique_ptr<Comparison> comparison_of_scores(const float *scores, Size count, Size rows) {
-  return std::make_unique<Matrix>(scores, count, rows);
 }
 
 void mask(const Listing &listing, const std::uint8_t *allowed, const Size *excluded, float *scores) {
@@ -80,11 +46,6 @@ void mask(const Listing &listing, const std::uint8_t *allowed, const Size *exclu
     if (!allowed[place]) scores[place] = NONE;
   if (excluded && excluded[0] < excluded[1])
     std::fill(scores + listing.rows.from(excluded[0]), scores + listing.rows.from(excluded[1]), NONE);
-}
-
-void Candidates::of(Size query, float *scores) const {
-  scores_.of(query, scores);
-  mask(listing_, allowed_, excluded_ ? excluded_ + 2 * query : nullptr, scores);
 }
 
 Fusion::Fusion(std::vector<std::vector<float>> scores, const Listing &listing) : listing_(listing) {
@@ -114,33 +75,22 @@ std::vector<double> Fusion::leads() const {
 
 void Fusion::of(const std::vector<double> &weights, float *scores) const {
   const Size rows = listing_.count();
-  std::vector<double> z(static_cast<std::size_t>(rows));
+  std::vector<double> z(rows);
   std::fill_n(scores, rows, NONE);
   double mean = 0, deviation = 0;
   for (std::size_t number = 0; number < members_.size(); ++number) {
     const Member &member = members_[number];
     add_scaled(member.near.data(), rows, member.spread.mean, weights[number] / member.unit(), z.data());
     for (Size row = 0; row < rows; ++row)  // a NaN stays one
-      scores[row] = std::max(member.near[static_cast<std::size_t>(row)], scores[row]);
+      scores[row] = std::max(member.near[row], scores[row]);
     mean += weights[number] * member.spread.mean;
     deviation += weights[number] * member.spread.deviation;
   }
   as_cosines(z.data(), rows, mean, deviation, scores);
 }
 
-std::vector<double> weights_of(const std::vector<double> &trust, const std::vector<double> &leads, Size queries) {
-  std::vector<double> weights = trust;
-  if (queries >= MODEL.min_frames) {
-    for (std::size_t number = 0; number < trust.size(); ++number) weights[number] *= std::max(0.0, leads[number]);
-    if (!(std::accumulate(weights.begin(), weights.end(), 0.0) > 0)) weights = trust;
-  }
-  const double sum = std::accumulate(weights.begin(), weights.end(), 0.0);
-  for (double &weight : weights) weight /= sum;
-  return weights;
-}
-
-Fused::Fused(std::vector<const Scores *> members, const std::vector<double> &trust, const Listing &listing)
-    : Blocks(members.front()->queries(), members.front()->rows()), members_(std::move(members)), listing_(listing) {
+Fused::Fused(std::vector<std::unique_ptr<Scores>> members, const std::vector<double> &trust, const Listing &listing)
+    : Comparison(members.front()->queries(), members.front()->rows()), members_(std::move(members)), listing_(listing) {
   std::vector<double> leads(trust.size());
   const Size step = std::max<Size>(1, queries() / MODEL.sample), sampled = (queries() + step - 1) / step;
   for (Size query = 0; queries() >= MODEL.min_frames && query < queries(); query += step) {
@@ -148,13 +98,13 @@ Fused::Fused(std::vector<const Scores *> members, const std::vector<double> &tru
     for (std::size_t member = 0; member < leads.size(); ++member) leads[member] += more[member];
   }
   for (double &lead : leads) lead /= static_cast<double>(std::max<Size>(1, sampled));
-  weights_ = weights_of(trust, leads, queries());
+  weights_ = weights_of(trust, leads);
 }
 
 Fusion Fused::of_query(Size query) const {
   std::vector<std::vector<float>> scores;
-  for (const Scores *member : members_) {
-    scores.emplace_back(static_cast<std::size_t>(rows()));
+  for (const auto &member : members_) {
+    scores.emplace_back(rows());
     member->of(query, scores.back().data());
   }
   return {std::move(scores), listing_};

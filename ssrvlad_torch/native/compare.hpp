@@ -1,7 +1,7 @@
 // The queries of one drive against all rows of a map: by a channel, and by several channels as one.
 //
-// A drive loses the mean of its descriptors; a query is
-// described from several anchors, or moved to both sides, and its best score counts.
+// A drive loses the mean of its descriptors; a query is described from several anchors, or moved to both sides, and its
+// best score counts.
 
 #ifndef SSRVLAD_COMPARE_HPP
 #define SSRVLAD_COMPARE_HPP
@@ -15,27 +15,27 @@
 
 namespace places {
 
-
-// Adjacent rows without the same mean, and the rows that it is of.
+// Adjacent rows without the same mean, and the rows that it is of, or the mean if it is given.
 struct Shared {
   Size first, last, from, to;
+  const float *mean;
 };
 
-// A drive of `min_frames` frames has a mean of its own. Adjacent shorter drives share one; if they still
-// have too few frames, it is the mean of all. Fewer than `min_frames` frames in all have none.
-std::vector<Shared> sharing(const Drives &drives);
-
-// Each drive, if it has a mean of its own whatever its number of frames.
-std::vector<Shared> each_alone(const Drives &drives);
+// What drives lose: means of so many numbers, one for each drive if they are given. Else a drive of `min_frames`
+// frames has a mean of its own. Adjacent shorter drives share one; if they still have too few frames, it is the mean
+// of all. Fewer than `min_frames` frames in all have none.
+std::vector<Shared> sharing(const Drives &drives, const float *means, Size length);
 
 // Scores that are computed in blocks of as many queries as fit in memory. Not for several threads.
-class Blocks : public Scores {
+class Comparison : public Scores {
  public:
-  Blocks(Size queries, Size rows);
+  Comparison(Size queries, Size rows);
 
   Size queries() const override { return queries_; }
   Size rows() const override { return rows_; }
   void of(Size query, float *scores) const override;
+
+  Size width = 0;  // of the sweep, in anchors to each side
 
  protected:
   // Fills (last - first, rows) scores of some queries.
@@ -45,13 +45,6 @@ class Blocks : public Scores {
   Size queries_, rows_, size_;
   mutable Size held_ = -1;
   mutable std::vector<float> block_;
-};
-
-// By one channel.
-class Comparison : public Blocks {
- public:
-  using Blocks::Blocks;
-  Size width = 0;  // of the sweep, in anchors to each side
 };
 
 // The descriptors of queries of one drive, each from several anchors with the usual one in the middle:
@@ -95,9 +88,6 @@ std::unique_ptr<Channel> channel_of_vectors(const float *rows, Size length, cons
 std::unique_ptr<Channel> channel_of_signs(const std::uint8_t *rows, Size columns, Size height, Size bytes,
                                           const Listing &listing, const float *means);
 
-// The scores of the queries of a drive by another method, (count, rows), which must outlive it.
-std::unique_ptr<Comparison> comparison_of_scores(const float *scores, Size count, Size rows);
-
 // Makes NONE of the scores of a query at rows that are no candidates; as below.
 void mask(const Listing &listing, const std::uint8_t *allowed, const Size *excluded, float *scores);
 
@@ -105,14 +95,17 @@ void mask(const Listing &listing, const std::uint8_t *allowed, const Size *exclu
 // for each query the rows of the map from the first of a pair to before the second, if pairs are given.
 class Candidates : public Scores {
  public:
-  Candidates(const Scores &scores, const Listing &listing, const std::uint8_t *allowed, const Size *excluded)
-      : scores_(scores), listing_(listing), allowed_(allowed), excluded_(excluded) {}
-  Size queries() const override { return scores_.queries(); }
-  Size rows() const override { return scores_.rows(); }
-  void of(Size query, float *scores) const override;
+  Candidates(std::unique_ptr<Scores> scores, const Listing &listing, const std::uint8_t *allowed, const Size *excluded)
+      : scores_(std::move(scores)), listing_(listing), allowed_(allowed), excluded_(excluded) {}
+  Size queries() const override { return scores_->queries(); }
+  Size rows() const override { return scores_->rows(); }
+  void of(Size query, float *scores) const override {
+    scores_->of(query, scores);
+    mask(listing_, allowed_, excluded_ ? excluded_ + 2 * query : nullptr, scores);
+  }
 
  private:
-  const Scores &scores_;
+  std::unique_ptr<Scores> scores_;
   const Listing &listing_;
   const std::uint8_t *allowed_;
   const Size *excluded_;
@@ -140,13 +133,10 @@ class Fusion {
   const Listing &listing_;
 };
 
-// The weights of channels, whose sum is 1, by their trust and their mean leads over so many queries.
-std::vector<double> weights_of(const std::vector<double> &trust, const std::vector<double> &leads, Size queries);
-
-// By several channels, which must outlive it.
-class Fused : public Blocks {
+// By several channels.
+class Fused : public Comparison {
  public:
-  Fused(std::vector<const Scores *> members, const std::vector<double> &trust, const Listing &listing);
+  Fused(std::vector<std::unique_ptr<Scores>> members, const std::vector<double> &trust, const Listing &listing);
 
   // Of the members; their sum is 1.
   const std::vector<double> &weights() const { return weights_; }
@@ -157,7 +147,7 @@ class Fused : public Blocks {
  private:
   Fusion of_query(Size query) const;
 
-  std::vector<const Scores *> members_;
+  std::vector<std::unique_ptr<Scores>> members_;
   std::vector<double> weights_;
   const Listing &listing_;
 };

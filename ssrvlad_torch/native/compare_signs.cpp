@@ -15,27 +15,8 @@ using Floats = std::vector<float>;
 using Doubles = std::vector<double>;
 using Words = std::vector<Word>;
 
-constexpr Size ROWS_AT_ONCE = 64;      // rows that stay in the cache while queries pass by
-constexpr float LEAST = 1e-3F;         // of the product of two lengths
-
-std::size_t place(Size at) { return static_cast<std::size_t>(at); }
-
-// How signs are stored: cells of whole words, of which some bytes count.
-struct Shape {
-  Size columns, rows, bytes;
-
-  Size cells() const { return columns * rows; }
-  Size bits() const { return 8 * bytes; }
-  SignGrid grid(bool swept) const { return SignGrid::of(columns, rows, bytes, swept); }
-};
-
-Words packed(const std::uint8_t *signs, Size count, const Shape &shape) {
-  const Size words = shape.grid(false).words, cells = count * shape.cells();
-  Words packed(place(cells * words));
-  for (Size cell = 0; cell < cells; ++cell)
-    std::memcpy(packed.data() + cell * words, signs + cell * shape.bytes, place(shape.bytes));
-  return packed;
-}
+constexpr Size ROWS_AT_ONCE = 64;  // rows that stay in the cache while queries pass by
+constexpr float LEAST = 1e-3F;     // of the product of two lengths
 
 // Raises scores to the cosines of a move, by what differs and by the lengths of rows; `level` and the
 // products with a mean make of it the product without means.
@@ -50,124 +31,136 @@ void raise(float *scores, const std::int32_t *differing, const float *of_mean,
   });
 }
 
-// Rows as they are compared: the mean of each, and by move and row the length of the cells that overlap
-// without it.
-struct Held {
+// Rows as they are compared. Numbers by move and row are (moves, rows), by mean and move (means, moves).
+struct SignRows {
+  SignGrid grid;
+  const Word *signs;
+  Size count;
   std::vector<Shared> shared;  // rows of one mean
   std::vector<SignMean> means;
-  Floats lengths;
+  Floats lengths;  // by move and row, of the cells that overlap, without the mean of the row
+
+  const Word *operator[](Size row) const { return signs + row * grid.size(); }
+
+  // Numbers by move and row that a function fills for neighbouring rows, so many from a first one on.
+  template <class Number, class Function>
+  std::vector<Number> by_blocks(int threads, Function fill) const {
+    std::vector<Number> numbers(grid.moves() * count);
+    over_blocks(count, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
+      std::vector<Number> block(grid.moves() * (last - first));
+      fill((*this)[first], last - first, block.data());
+      for (Size move = 0; move < grid.moves(); ++move)
+        std::copy_n(block.data() + move * (last - first), last - first, numbers.data() + move * count + first);
+    });
+    return numbers;
+  }
+
+  Floats products_with(const SignMean &mean, int threads) const {
+    if (!mean.count()) return Floats(grid.moves() * count);
+    return by_blocks<float>(threads, [&](const Word *rows, Size some, float *numbers) {
+      products(mean, rows, some, grid, count_moves, numbers);
+    });
+  }
+
+  // The products of signs with each mean, by mean and move.
+  Doubles products_of(const Word *words) const {
+    Doubles of_means;
+    for (const SignMean &mean : means)
+      for (const double product : products(words, mean, grid)) of_means.push_back(product);
+    return of_means;
+  }
+
+  // Raises the scores of the rows from `start` to `end`, of which so many bits differ by move and row, by the products
+  // of all rows with the mean of the queries, the levels by mean and move, and the lengths of the query by move.
+  void raise_scores(Size start, Size end, const std::int32_t *differing, const float *of_mean, const float *levels,
+                    const float *of_query, float *scores) const {
+    for (const Shared &rows : shared) {
+      const Size from = std::max(start, rows.first), to = std::min(end, rows.last);
+      for (Size move = 0; from < to && move < grid.moves(); ++move)
+        raise(scores + from, differing + move * (end - start) + from - start, of_mean + move * count + from,
+              lengths.data() + move * count + from, levels[move], of_query[move], to - from);
+      levels += grid.moves();
+    }
+  }
 };
 
 // Signs of queries against those of rows, for each move.
 class SignComparison : public Comparison {
  public:
   // `mean` is of the queries.
-  SignComparison(Words queries, Size count, const Word *signs, Size rows, const SignGrid &grid, Size bits,
-                 const Held &held, const SignMean &mean, int threads)
-      : Comparison(count, rows), queries_(std::move(queries)), signs_(signs), held_(held), grid_(grid), threads_(threads),
-        of_mean_(of_moves(rows)), lengths_(of_moves(count)), levels_(held.means.size(), of_moves(count)) {
-    over_blocks(mean.count() ? rows : 0, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
-      Floats some(of_moves(last - first));
-      products(mean, row(first), last - first, bits, grid, some.data());
-      for (Size move = 0; move < grid.moves(); ++move)
-        std::copy_n(some.data() + move * (last - first), last - first, of_mean_.data() + move * rows + first);
-    });
-    std::vector<Doubles> of_means;
-    for (const SignMean &other : held.means) of_means.push_back(products(mean, other, bits, grid));
+  SignComparison(Words queries, Size count, const SignRows &rows, const SignMean &mean, int threads)
+      : Comparison(count, rows.count), queries_(std::move(queries)), rows_(rows), threads_(threads),
+        of_mean_(rows.products_with(mean, threads)), lengths_(rows.grid.moves() * count),
+        levels_(lengths_.size() * rows.means.size()) {
+    const SignGrid &grid = rows.grid;
+    const Size moves = grid.moves(), levels = moves * static_cast<Size>(rows.means.size());
+    Doubles of_means;
+    for (const SignMean &other : rows.means)
+      for (const double product : products(mean, other, grid)) of_means.push_back(product);
     over_blocks(count, 1, threads, [&](Size query, Size) {
       const Word *words = queries_.data() + query * grid.size();
-      const Floats without = lengths(squares(words, mean, bits, grid), grid, true);
-      std::copy(without.begin(), without.end(), lengths_.begin() + query * grid.moves());
-      for (std::size_t number = 0; number < held.means.size(); ++number) {
-        const Doubles less = products(words, held.means[number], bits, grid);
-        for (Size move = 0; move < grid.moves(); ++move)
-          levels_[number][at(query, move)] = static_cast<float>(
-              of_means[number][place(move)] - less[place(move)] + static_cast<double>(bits * grid.overlap(move).cells()));
-      }
+      const Floats without = lengths(squares(words, mean, grid), grid, true);
+      std::copy(without.begin(), without.end(), lengths_.begin() + query * moves);
+      const Doubles less = rows.products_of(words);
+      for (Size at = 0; at < levels; ++at)
+        levels_[query * levels + at] =
+            static_cast<float>(of_means[at] - less[at] + static_cast<double>(grid.overlapping(at % moves)));
     });
   }
 
-  const SignGrid &grid() const { return grid_; }
-  const Word *row(Size row) const { return signs_ + row * grid_.size(); }
-  // Of all rows in a move: their products with the mean of the queries, and their lengths without their mean.
-  const float *of_mean(Size move) const { return of_mean_.data() + move * rows(); }
-  const float *row_lengths(Size move) const { return held_.lengths.data() + move * rows(); }
-
  protected:
   void compute(Size first, Size last, float *scores) const override {
+    const SignGrid &grid = rows_.grid;
+    const Size moves = grid.moves(), levels = moves * static_cast<Size>(rows_.means.size());
     over_blocks(rows(), ROWS_AT_ONCE, threads_, [&](Size start, Size end) {
-      std::vector<std::int32_t> differing(place(grid_.moves() * (end - start)));
+      std::vector<std::int32_t> differing(moves * (end - start));
       for (Size query = first; query < last; ++query) {
         float *best = scores + (query - first) * rows();
         std::fill(best + start, best + end, NONE);
-        count_moves(queries_.data() + query * grid_.size(), row(start), end - start, grid_, differing.data());
-        for (std::size_t number = 0; number < held_.shared.size(); ++number) {
-          const Size from = std::max(start, held_.shared[number].first), to = std::min(end, held_.shared[number].last);
-          for (Size move = 0; from < to && move < grid_.moves(); ++move)
-            raise(best + from, differing.data() + move * (end - start) + from - start, of_mean(move) + from,
-                  row_lengths(move) + from, levels_[number][at(query, move)], lengths_[at(query, move)], to - from);
-        }
+        count_moves(queries_.data() + query * grid.size(), rows_[start], end - start, grid, differing.data());
+        rows_.raise_scores(start, end, differing.data(), of_mean_.data(), levels_.data() + query * levels,
+                           lengths_.data() + query * moves, best);
       }
     });
   }
 
  private:
-  Floats of_moves(Size count) const { return Floats(place(grid_.moves() * count)); }
-  std::size_t at(Size query, Size move) const { return place(query * grid_.moves() + move); }
-
   Words queries_;
-  const Word *signs_;
-  const Held &held_;
-  SignGrid grid_;
+  const SignRows &rows_;
   int threads_;
-  Floats of_mean_, lengths_;    // by move and row; by query and move
-  std::vector<Floats> levels_;  // by mean: by query and move, what is added to minus twice the bits that differ
+  Floats of_mean_, lengths_, levels_;  // by move and row; by query and move; by query, mean and move
 };
 
 // Signs that come one by one. Their mean is that of those so far, and of `before` frames like the mean of the
-// map; its products are sums that grow with each query.
+// map, `prior`, or nothing; its products are sums that grow with each query.
 class LiveSignComparison : public LiveComparison {
  public:
-  // `before` compares no queries without the mean of the map, `prior`, or nothing.
-  LiveSignComparison(std::unique_ptr<SignComparison> before, const SignMean &prior, const Shape &shape, const Held &held)
-      : before_(std::move(before)), shape_(shape), bits_(shape.bits()), held_(held) {
+  LiveSignComparison(const SignRows &rows, const SignMean &prior, int threads) : rows_(rows) {
     if (!prior.count()) return;
-    for (const double number : numbers(prior, bits_, grid())) sums_.push_back(frames_ * number);
-    for (Size move = 0; move < grid().moves(); ++move)
-      for (Size row = 0; row < before_->rows(); ++row) with_rows_.push_back(frames_ * static_cast<double>(before_->of_mean(move)[row]));
-    for (const SignMean &mean : held.means)
-      for (const double product : products(prior, mean, bits_, grid())) with_means_.push_back(frames_ * product);
+    for (const double number : numbers(prior, rows.grid)) sums_.push_back(frames_ * number);
+    for (const float product : rows.products_with(prior, threads))
+      with_rows_.push_back(frames_ * static_cast<double>(product));
+    for (const SignMean &mean : rows.means)
+      for (const double product : products(prior, mean, rows.grid)) with_means_.push_back(frames_ * product);
   }
 
   void next(const void *query, int threads, float *scores) override {
-    const Size moves = grid().moves(), rows = before_->rows();
-    const Words words = packed(static_cast<const std::uint8_t *>(query), 1, shape_);
-    std::vector<std::int32_t> differing(place(moves * rows));
-    over_blocks(rows, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
-      std::vector<std::int32_t> some(place(moves * (last - first)));
-      count_moves(words.data(), before_->row(first), last - first, grid(), some.data());
-      for (Size move = 0; move < moves; ++move)
-        std::copy_n(some.data() + move * (last - first), last - first, differing.data() + move * rows + first);
+    const SignGrid &grid = rows_.grid;
+    const Words words = packed(static_cast<const std::uint8_t *>(query), 1, grid);
+    const auto differing = rows_.by_blocks<std::int32_t>(threads, [&](const Word *rows, Size some, std::int32_t *numbers) {
+      count_moves(words.data(), rows, some, grid, numbers);
     });
-    Doubles of_means;
-    for (const SignMean &mean : held_.means)
-      for (const double product : products(words.data(), mean, bits_, grid())) of_means.push_back(product);
+    const Doubles of_means = rows_.products_of(words.data());
     if (!sums_.empty()) add(words, differing, of_means);
-    const Floats own = lengths(squares_of(words), grid(), true);
-    Floats of_mean(place(rows));
-    std::fill_n(scores, rows, NONE);
-    for (Size move = 0; move < moves; ++move) {
-      for (Size row = 0; row < rows && !sums_.empty(); ++row)
-        of_mean[place(row)] = static_cast<float>(with_rows_[place(move * rows + row)] / frames_);
-      for (std::size_t number = 0; number < held_.means.size(); ++number) {
-        const auto [first, last, from, to] = held_.shared[number];
-        const std::size_t at = number * place(moves) + place(move);
-        const double both = sums_.empty() ? 0 : with_means_[at] / frames_;
-        const double level = both - of_means[at] + bits_of(move);
-        raise(scores + first, differing.data() + move * rows + first, of_mean.data() + first,
-              before_->row_lengths(move) + first, static_cast<float>(level), own[place(move)], last - first);
-      }
+    Floats of_mean(differing.size()), levels(of_means.size());
+    for (std::size_t at = 0; at < with_rows_.size(); ++at) of_mean[at] = static_cast<float>(with_rows_[at] / frames_);
+    for (std::size_t at = 0; at < levels.size(); ++at) {
+      const double both = sums_.empty() ? 0 : with_means_[at] / frames_;
+      levels[at] = static_cast<float>(both - of_means[at] + overlapping(at % grid.moves()));
     }
+    std::fill_n(scores, rows_.count, NONE);
+    rows_.raise_scores(0, rows_.count, differing.data(), of_mean.data(), levels.data(),
+                       lengths(squares_of(words), grid, true).data(), scores);
   }
 
   void keep(Archive &archive) override {
@@ -177,120 +170,105 @@ class LiveSignComparison : public LiveComparison {
   }
 
  private:
-  const SignGrid &grid() const { return before_->grid(); }
-  double bits_of(Size move) const { return static_cast<double>(bits_ * grid().overlap(move).cells()); }
+  double overlapping(Size move) const { return static_cast<double>(rows_.grid.overlapping(move)); }
 
   void add(const Words &words, const std::vector<std::int32_t> &differing, const Doubles &of_means) {
     ++frames_;
-    for (std::size_t bit = 0; bit < sums_.size(); ++bit) sums_[bit] += sign(words, static_cast<Size>(bit));
+    for (std::size_t bit = 0; bit < sums_.size(); ++bit) sums_[bit] += sign(words, bit);
     for (std::size_t at = 0; at < with_means_.size(); ++at) with_means_[at] += of_means[at];
-    std::size_t at = 0;
-    for (Size move = 0; move < grid().moves(); ++move)
-      for (Size row = 0; row < before_->rows(); ++row, ++at) with_rows_[at] += bits_of(move) - 2.0 * differing[at];
+    for (std::size_t at = 0; at < with_rows_.size(); ++at)
+      with_rows_[at] += overlapping(static_cast<Size>(at) / rows_.count) - 2.0 * differing[at];
   }
 
   // The squared lengths of the cells of a query without the mean so far.
   Doubles squares_of(const Words &words) const {
-    Doubles squares(place(grid().columns * grid().rows), static_cast<double>(bits_));
-    if (sums_.empty()) return squares;
-    std::fill(squares.begin(), squares.end(), 0);
+    const Size bits = rows_.grid.bits();
+    if (sums_.empty()) return Doubles(rows_.grid.cells(), static_cast<double>(bits));
+    Doubles squares(rows_.grid.cells());
     for (std::size_t bit = 0; bit < sums_.size(); ++bit) {
-      const double less = sign(words, static_cast<Size>(bit)) - sums_[bit] / frames_;
-      squares[bit / place(bits_)] += less * less;
+      const double less = sign(words, bit) - sums_[bit] / frames_;
+      squares[bit / bits] += less * less;
     }
     return squares;
   }
 
   double sign(const Words &words, Size bit) const {
-    const Size cell = bit / bits_, in_cell = bit % bits_;
-    return words[place(cell * grid().words + in_cell / 64)] >> in_cell % 64 & 1 ? 1 : -1;
+    const Size cell = bit / rows_.grid.bits(), in_cell = bit % rows_.grid.bits();
+    return words[cell * rows_.grid.words() + in_cell / 64] >> in_cell % 64 & 1 ? 1 : -1;
   }
 
-  std::unique_ptr<SignComparison> before_;
-  Shape shape_;
-  Size bits_;
-  const Held &held_;
+  const SignRows &rows_;
   double frames_ = static_cast<double>(MODEL.before);
   Doubles sums_, with_rows_, with_means_;  // of the numbers, and of their products, by move, with rows and with means
 };
 
 class SignChannel : public Channel {
  public:
-  SignChannel(const std::uint8_t *rows, const Shape &shape, const Listing &listing, const float *means)
-      : shape_(shape), drives_(listing.drives), means_(means), signs_(reinterpret_cast<const Word *>(rows)) {
-    if (shape.bytes % 8 == 0 && reinterpret_cast<std::uintptr_t>(rows) % sizeof(Word) == 0) return;
-    own_ = packed(rows, drives_.rows, shape);
-    signs_ = own_.data();
+  SignChannel(const std::uint8_t *rows, const SignGrid &grid, const Listing &listing, const float *means)
+      : grid_(grid), drives_(listing.drives), means_(means), signs_(reinterpret_cast<const Word *>(rows)) {
+    if (grid.bytes % 8 == 0 && reinterpret_cast<std::uintptr_t>(rows) % sizeof(Word) == 0) return;
+    packed_ = packed(rows, drives_.rows, grid);
+    signs_ = packed_.data();
   }
 
-  std::unique_ptr<Comparison> compare(const Queries &queries, bool standardised, bool swept,
-                                      int threads) override {
-    const SignGrid grid = shape_.grid(swept);
-    Words words = packed(static_cast<const std::uint8_t *>(queries.descriptors), queries.count, shape_);
+  std::unique_ptr<Comparison> compare(const Queries &queries, bool standardised, bool swept, int threads) override {
+    Words words = packed(static_cast<const std::uint8_t *>(queries.descriptors), queries.count, grid_);
     SignMean mean;
-    if (standardised) mean = SignMean::of(words.data(), queries.count, shape_.bits(), grid);
-    return std::make_unique<SignComparison>(std::move(words), queries.count, signs_, drives_.rows, grid, shape_.bits(),
-                                            held(standardised, swept, threads), mean, threads);
+    if (standardised) mean = SignMean::of(words.data(), queries.count, grid_);
+    return std::make_unique<SignComparison>(std::move(words), queries.count, rows(standardised, swept, threads), mean,
+                                            threads);
   }
 
   std::unique_ptr<LiveComparison> live(Size, bool standardised, bool swept, int threads) override {
-    const SignGrid grid = shape_.grid(swept);
     SignMean prior;
-    if (standardised) prior = SignMean::of(signs_, drives_.rows, shape_.bits(), grid);
-    const Held &rows = held(standardised, swept, threads);
-    auto before = std::make_unique<SignComparison>(Words(), 0, signs_, drives_.rows, grid, shape_.bits(), rows, prior, threads);
-    return std::make_unique<LiveSignComparison>(std::move(before), prior, shape_, rows);
+    if (standardised) prior = SignMean::of(signs_, drives_.rows, grid_);
+    return std::make_unique<LiveSignComparison>(rows(standardised, swept, threads), prior, threads);
   }
 
  private:
-  const Held &held(bool standardised, bool swept, int threads) {
+  const SignRows &rows(bool standardised, bool swept, int threads) {
     const std::lock_guard<Mutex> hold(mutex_);
-    auto &found = held_[2 * standardised + swept];
-    if (found) return *found;
-    const SignGrid grid = shape_.grid(swept);
-    const Size bits = shape_.bits(), rows = drives_.rows;
-    auto fresh = std::make_unique<Held>();
-    const float *given = standardised ? means_ : nullptr;
-    if (standardised) fresh->shared = given ? each_alone(drives_) : sharing(drives_);
-    if (fresh->shared.empty()) fresh->shared = {{0, rows, 0, 0}};
-    fresh->lengths.resize(place(grid.moves() * rows));
+    auto &slot = rows_[2 * standardised + swept];
+    if (slot) return *slot;
+    const SignGrid grid = swept ? grid_.swept() : grid_;
+    auto rows = std::make_unique<SignRows>(SignRows{grid, signs_, drives_.rows, {}, {}, {}});
+    if (standardised) rows->shared = sharing(drives_, means_, grid.cells() * grid.bits());
+    if (rows->shared.empty()) rows->shared = {{0, rows->count, 0, 0, nullptr}};
+    rows->lengths.resize(grid.moves() * rows->count);
     SignMean of_all;
-    for (const Shared &shared : fresh->shared) {
-      const bool all = !given && shared.to - shared.from == rows;
+    for (const auto &[start, end, from, to, fixed] : rows->shared) {
+      const bool all = to - from == rows->count;
       SignMean mean;
-      if (given) {
-        mean = SignMean::near(given, bits, grid);
-        given += shape_.cells() * bits;
-      } else if (!(all && of_all.count())) {
-        mean = SignMean::of(signs_ + shared.from * grid.size(), shared.to - shared.from, bits, grid);
-      }
-      if (all) mean = of_all = of_all.count() ? of_all : mean;
-      over_blocks(shared.last - shared.first, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
-        for (Size row = shared.first + first; row < shared.first + last; ++row) {
-          const Floats without = lengths(squares(signs_ + row * grid.size(), mean, bits, grid), grid, false);
-          for (Size move = 0; move < grid.moves(); ++move) fresh->lengths[place(move * rows + row)] = without[place(move)];
+      if (fixed) mean = SignMean::near(fixed, grid);
+      else if (all && of_all.count()) mean = of_all;
+      else mean = SignMean::of(signs_ + from * grid.size(), to - from, grid);
+      if (all) of_all = mean;
+      over_blocks(end - start, ROWS_AT_ONCE, threads, [&, start = start](Size first, Size last) {
+        for (Size row = start + first; row < start + last; ++row) {
+          const Floats without = lengths(squares((*rows)[row], mean, grid), grid, false);
+          for (Size move = 0; move < grid.moves(); ++move) rows->lengths[move * rows->count + row] = without[move];
         }
       });
-      fresh->means.push_back(std::move(mean));
+      rows->means.push_back(std::move(mean));
     }
-    found = std::move(fresh);
-    return *found;
+    slot = std::move(rows);
+    return *slot;
   }
 
-  Shape shape_;
+  SignGrid grid_;
   const Drives &drives_;  // of the list
   const float *means_;
-  Words own_;
+  Words packed_;
   const Word *signs_;
   Mutex mutex_;
-  std::array<std::unique_ptr<Held>, 4> held_;  // standardised or not, swept or not
+  std::array<std::unique_ptr<SignRows>, 4> rows_;  // standardised or not, swept or not
 };
 
 }  // namespace
 
 std::unique_ptr<Channel> channel_of_signs(const std::uint8_t *rows, Size columns, Size height, Size bytes,
                                           const Listing &listing, const float *means) {
-  return std::make_unique<SignChannel>(rows, Shape{columns, height, bytes}, listing, means);
+  return std::make_unique<SignChannel>(rows, SignGrid{columns, height, bytes}, listing, means);
 }
 
 }  // namespace places

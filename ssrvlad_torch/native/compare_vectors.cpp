@@ -15,7 +15,7 @@ namespace {
 using Floats = std::vector<float>;
 
 constexpr Size ROWS_AT_ONCE = 192;  // rows that stay in the cache while queries pass by
-constexpr Size AT_ONCE = 96;          // vectors that are multiplied at once to narrow a sweep
+constexpr Size AT_ONCE = 96;        // vectors that are multiplied at once to narrow a sweep
 constexpr double EQUAL = 1e-6;      // a vector this near to the mean equals it
 
 float length_of(const float *vector, Size length) {
@@ -41,39 +41,25 @@ bool centre(const float *unit, const float *mean, Size length, float *centred) {
   return false;
 }
 
-// The mean of vectors at length 1, those of zeros not counted; zeros without vectors.
-class Mean {
- public:
-  explicit Mean(Size length) : unit_(static_cast<std::size_t>(length)), sums_(unit_.size()) {}
-
-  void add(const float *vector) {
-    if (!normalise(vector, static_cast<Size>(unit_.size()), unit_.data())) return;
-    for (std::size_t n = 0; n < sums_.size(); ++n) sums_[n] += static_cast<double>(unit_[n]);
-    ++count_;
-  }
-
-  Floats value() const {
-    Floats mean(sums_.size());
-    for (std::size_t n = 0; n < mean.size(); ++n)
-      mean[n] = static_cast<float>(sums_[n] / std::max(1.0, count_));
-    return mean;
-  }
-
- private:
-  Floats unit_;
-  std::vector<double> sums_;
-  double count_ = 0;
-};
-
-Floats mean_of(const float *vectors, Size count, Size length) {
-  Mean mean(length);
-  for (Size each = 0; each < count; ++each) mean.add(vectors + each * length);
-  return mean.value();
+// The mean of items of vectors at length 1, of those up to a width from the middle one; those of zeros do not count.
+// Zeros without vectors.
+Floats mean_of(const float *vectors, Size count, Size length, Size anchors = 1, Size width = 0) {
+  Floats unit(length), mean(length);
+  std::vector<double> sums(length);
+  double counted = 0;
+  for (Size item = 0; item < count; ++item)
+    for (Size anchor = anchors / 2 - width; anchor <= anchors / 2 + width; ++anchor) {
+      if (!normalise(vectors + (item * anchors + anchor) * length, length, unit.data())) continue;
+      for (Size n = 0; n < length; ++n) sums[n] += static_cast<double>(unit[n]);
+      ++counted;
+    }
+  for (Size n = 0; n < length; ++n) mean[n] = static_cast<float>(sums[n] / std::max(1.0, counted));
+  return mean;
 }
 
 // A vector at length 1 without a mean, at length 1 again; zeros stay zeros.
 void standardise(const float *vector, const float *mean, Size length, float *after) {
-  Floats unit(static_cast<std::size_t>(length));
+  Floats unit(length);
   if (normalise(vector, length, unit.data()) && centre(unit.data(), mean, length, after))
     normalise(after, length, after);
   else
@@ -82,25 +68,14 @@ void standardise(const float *vector, const float *mean, Size length, float *aft
 
 // What is subtracted from a product of a vector, in products with a mean, and what it is then multiplied with;
 // nothing of zeros.
-std::array<float, 2> factors_of(const float *vector, const float *mean, Size length) {
-  Floats centred(static_cast<std::size_t>(length));
+using Factors = std::array<float, 2>;
+
+Factors factors_of(const float *vector, const float *mean, Size length) {
+  Floats centred(length);
   if (!length_of(vector, length)) return {0, 0};
   const bool differs = centre(vector, mean, length, centred.data());
   return {differs ? 1.0F : 0.0F, 1 / length_of(centred.data(), length)};
 }
-
-// How much nearer the best row is than the best elsewhere; not finite without one.
-double lead_of(const float *scores, const Listing &listing) {
-  const auto [best, other] =
-      leading(scores, listing.count(), [&](Size row) { return listing.around(row, MODEL.elsewhere); });
-  return nearness(static_cast<double>(best)) - nearness(static_cast<double>(other));
-}
-
-// Rows as they are compared, and their lengths.
-struct Held {
-  const float *vectors;
-  Floats lengths, own;
-};
 
 // Divides scores by the lengths of rows; NONE for rows of length 0.
 void divide(float *scores, const float *lengths, Size count) {
@@ -122,145 +97,151 @@ void raise(float *scores, const float *products, const float *mean, float part, 
   });
 }
 
-class VectorComparison : public Comparison {
- public:
-  VectorComparison(Floats queries, Size count, Size anchors, Size length, const Held &rows, int threads)
-      : Comparison(count, static_cast<Size>(rows.lengths.size())), queries_(std::move(queries)),
-        anchors_(anchors), length_(length), references_(rows), threads_(threads) {}
+// Rows as they are compared, and their lengths.
+struct VectorRows {
+  const float *vectors;
+  Size length;
+  Floats lengths, centred;
 
- protected:
-  void compute(Size first, Size last, float *scores) const override {
-    const float *some = queries_.data() + first * anchors_ * length_;
-    const Panels panels(some, last - first, anchors_, length_);
-    over_blocks(rows(), ROWS_AT_ONCE, threads_, [&](Size start, Size end) {
-      panels.best(references_.vectors + start * length_, end - start, scores + start, rows());
-      for (Size query = 0; query < last - first; ++query)
-        divide(scores + query * rows() + start, references_.lengths.data() + start, end - start);
+  Size count() const { return static_cast<Size>(lengths.size()); }
+  const float *operator[](Size row) const { return vectors + row * length; }
+
+  // The products (count, rows) with vectors.
+  Floats products(const float *others, Size others_count, int threads) const {
+    Floats products(others_count * count());
+    const Panels panels(others, others_count, 1, length);
+    over_blocks(count(), ROWS_AT_ONCE, threads, [&](Size first, Size last) {
+      panels.best((*this)[first], last - first, products.data() + first, count());
     });
-    for (Size query = 0; query < last - first; ++query, some += anchors_ * length_)
-      if (std::all_of(some, some + anchors_ * length_, [](float number) { return number == 0; }))
-        std::fill_n(scores + query * rows(), rows(), NONE);
+    return products;
   }
 
- private:
-  Floats queries_;
-  Size anchors_, length_;
-  const Held &references_;
-  int threads_;
+  // The scores of the rows from `first` to `last` by the best of the anchors up to a width from the middle one, by the
+  // products and factors of all anchors and the products of all rows with their mean.
+  void best_of(Size first, Size last, const float *products, Size pitch, const Factors *factors, Size anchors, Size width,
+               const float *of_mean, float *best) const {
+    std::fill_n(best, last - first, NONE);
+    for (Size anchor = anchors / 2 - width; anchor <= anchors / 2 + width; ++anchor) {
+      const auto [part, factor] = factors[anchor];
+      if (factor > 0) raise(best, products + anchor * pitch, of_mean + first, part, factor, last - first);
+    }
+    divide(best, lengths.data() + first, last - first);
+  }
 };
 
-// The width of the sweep of a drive, in anchors to each side, whose first candidates lead most over a
-// sample of the queries; see recognition/sweep.py. Products with the queries are computed once for all
-// widths, and those with the mean at each width are subtracted.
-class Narrowing {
+// By how much queries lead at each width of a sweep: the best row, before the best elsewhere.
+class Leads {
  public:
-  Narrowing(const Floats &units, Size count, Size anchors, Size length, const Held &rows,
-            const Listing &listing, bool standardised, int threads)
-      : units_(units), count_(count), anchors_(anchors), length_(length), rows_(rows), listing_(listing),
-        threads_(threads),
-        widths_(anchors / 2 + 1), means_(static_cast<std::size_t>(widths_ * length)),
-        of_means_(static_cast<std::size_t>(widths_ * references())),
-        leads_(static_cast<std::size_t>(widths_)), known_(leads_.size()) {
-    if (standardised && count >= MODEL.min_frames) subtract_means();
+  Leads(Size widths, const Listing &listing) : listing_(listing), sums_(widths), counts_(widths) {}
+
+  void add(Size width, const float *scores) {
+    if (listing_.count() <= 2 * MODEL.elsewhere + 1) return;
+    const auto [best, other] =
+        leading(scores, listing_.count(), [&](Size row) { return listing_.around(row, MODEL.elsewhere); });
+    const double lead = nearness(static_cast<double>(best)) - nearness(static_cast<double>(other));
+    if (std::isfinite(lead)) sums_[width] += lead, ++counts_[width];
   }
 
-  Size width() {
-    if (references() <= 2 * MODEL.elsewhere + 1) return 0;
-    std::vector<Size> sample;
-    for (Size query = 0; query < count_; query += std::max<Size>(1, count_ / MODEL.sample)) sample.push_back(query);
-    const std::size_t at_once = static_cast<std::size_t>(std::max<Size>(1, AT_ONCE / anchors_));
-    for (std::size_t first = 0; first < sample.size(); first += at_once)
-      add_leads(sample.data() + first, static_cast<Size>(std::min(at_once, sample.size() - first)));
+  // The width of the greatest mean lead.
+  Size best() const {
     Size best = 0;
     double most = -std::numeric_limits<double>::infinity();
-    for (Size width = 0; width < widths_; ++width) {
-      const auto at = static_cast<std::size_t>(width);
-      const double mean = known_[at] > 0 ? leads_[at] / known_[at] : 0;
+    for (std::size_t width = 0; width < sums_.size(); ++width) {
+      const double mean = sums_[width] / std::max(1.0, counts_[width]);
       if (mean > most + MODEL.wider) most = mean, best = width;
     }
     return best;
   }
 
+  void keep(Archive &archive) {
+    const std::size_t widths = sums_.size();
+    archive(sums_), archive(counts_);
+    require(sums_.size() == widths && counts_.size() == widths);
+  }
+
  private:
-  Size references() const { return static_cast<Size>(rows_.lengths.size()); }
-  const float *unit(Size query, Size anchor) const {
-    return units_.data() + (query * anchors_ + anchor) * length_;
-  }
-
-  void subtract_means() {
-    for (Size width = 0; width < widths_; ++width) {
-      Mean mean(length_);
-      for (Size query = 0; query < count_; ++query)
-        for (Size anchor = anchors_ / 2 - width; anchor <= anchors_ / 2 + width; ++anchor)
-          mean.add(unit(query, anchor));
-      const Floats value = mean.value();
-      std::copy(value.begin(), value.end(), means_.begin() + width * length_);
-    }
-    const Panels panels(means_.data(), widths_, 1, length_);
-    over_blocks(references(), ROWS_AT_ONCE, threads_, [&](Size first, Size last) {
-      panels.best(rows_.vectors + first * length_, last - first, of_means_.data() + first, references());
-    });
-  }
-
-  void add_leads(const Size *queries, Size count) {
-    Floats vectors, scores(static_cast<std::size_t>(count * widths_ * references()));
-    std::vector<std::array<float, 2>> factors;
-    for (Size each = 0; each < count; ++each) {
-      vectors.insert(vectors.end(), unit(queries[each], 0), unit(queries[each] + 1, 0));
-      for (Size width = 0; width < widths_; ++width)
-        for (Size anchor = 0; anchor < anchors_; ++anchor)
-          factors.push_back(factors_of(unit(queries[each], anchor), means_.data() + width * length_, length_));
-    }
-    const Panels panels(vectors.data(), count * anchors_, 1, length_);
-    over_blocks(references(), ROWS_AT_ONCE, threads_, [&](Size first, Size last) {
-      Floats products(static_cast<std::size_t>(count * anchors_ * ROWS_AT_ONCE));
-      panels.best(rows_.vectors + first * length_, last - first, products.data(), ROWS_AT_ONCE);
-      for (Size each = 0; each < count * widths_; ++each)
-        best_of(products.data() + each / widths_ * anchors_ * ROWS_AT_ONCE,
-                factors.data() + each * anchors_, each % widths_, first, last,
-                scores.data() + each * references() + first);
-    });
-    for (Size each = 0; each < count * widths_; ++each) {
-      const double lead = lead_of(scores.data() + each * references(), listing_);
-      if (!std::isfinite(lead)) continue;
-      leads_[static_cast<std::size_t>(each % widths_)] += lead;
-      ++known_[static_cast<std::size_t>(each % widths_)];
-    }
-  }
-
-  // The scores of some rows by the best anchor at a width.
-  void best_of(const float *products, const std::array<float, 2> *factors, Size width, Size first,
-               Size last, float *best) const {
-    std::fill_n(best, last - first, NONE);
-    const float *mean = of_means_.data() + width * references() + first;
-    for (Size anchor = anchors_ / 2 - width; anchor <= anchors_ / 2 + width; ++anchor) {
-      const auto [part, factor] = factors[anchor];
-      if (factor > 0)
-        raise(best, products + anchor * ROWS_AT_ONCE, mean, part, factor, last - first);
-    }
-    divide(best, rows_.lengths.data() + first, last - first);
-  }
-
-  const Floats &units_;
-  Size count_, anchors_, length_;
-  const Held &rows_;
   const Listing &listing_;
+  std::vector<double> sums_, counts_;
+};
+
+// The width of the sweep of a sequence, in anchors to each side, whose first candidates lead most over a sample of
+// the queries, vectors of length 1; see recognition/sweep.py. Products with the queries are computed once for all
+// widths, and those with the mean at each width are subtracted.
+Size narrowed(const Floats &queries, Size count, Size anchors, const VectorRows &rows, const Listing &listing,
+              bool standardised, int threads) {
+  const Size length = rows.length, widths = anchors / 2 + 1;
+  const auto unit = [&](Size query) { return queries.data() + query * anchors * length; };
+  Floats means(widths * length), of_means(widths * rows.count());
+  if (standardised && count >= MODEL.min_frames) {
+    for (Size width = 0; width < widths; ++width) {
+      const Floats mean = mean_of(queries.data(), count, length, anchors, width);
+      std::copy(mean.begin(), mean.end(), means.begin() + width * length);
+    }
+    of_means = rows.products(means.data(), widths, threads);
+  }
+  Leads leads(widths, listing);
+  const Size step = std::max<Size>(1, count / MODEL.sample), at_once = step * std::max<Size>(1, AT_ONCE / anchors);
+  for (Size first_query = 0; first_query < count; first_query += at_once) {
+    Floats vectors;
+    std::vector<Factors> factors;  // by query, width and anchor
+    for (Size query = first_query; query < std::min(count, first_query + at_once); query += step) {
+      vectors.insert(vectors.end(), unit(query), unit(query + 1));
+      for (Size width = 0; width < widths; ++width)
+        for (Size anchor = 0; anchor < anchors; ++anchor)
+          factors.push_back(factors_of(unit(query) + anchor * length, means.data() + width * length, length));
+    }
+    const Size items = static_cast<Size>(factors.size()) / anchors;  // queries at each width
+    const Panels panels(vectors.data(), items / widths * anchors, 1, length);
+    Floats scores(items * rows.count());
+    over_blocks(rows.count(), ROWS_AT_ONCE, threads, [&](Size first, Size last) {
+      Floats products(items / widths * anchors * ROWS_AT_ONCE);
+      panels.best(rows[first], last - first, products.data(), ROWS_AT_ONCE);
+      for (Size item = 0; item < items; ++item)
+        rows.best_of(first, last, products.data() + item / widths * anchors * ROWS_AT_ONCE, ROWS_AT_ONCE,
+                     factors.data() + item * anchors, anchors, item % widths,
+                     of_means.data() + item % widths * rows.count(), scores.data() + item * rows.count() + first);
+    });
+    for (Size item = 0; item < items; ++item) leads.add(item % widths, scores.data() + item * rows.count());
+  }
+  return leads.best();
+}
+
+class VectorComparison : public Comparison {
+ public:
+  VectorComparison(Floats queries, Size count, Size anchors, const VectorRows &rows, int threads)
+      : Comparison(count, rows.count()), queries_(std::move(queries)), anchors_(anchors), references_(rows),
+        threads_(threads) {}
+
+ protected:
+  void compute(Size first, Size last, float *scores) const override {
+    const Size size = anchors_ * references_.length;
+    const float *query = queries_.data() + first * size;
+    const Panels panels(query, last - first, anchors_, references_.length);
+    over_blocks(rows(), ROWS_AT_ONCE, threads_, [&](Size start, Size end) {
+      panels.best(references_[start], end - start, scores + start, rows());
+      for (Size row = 0; row < last - first; ++row)
+        divide(scores + row * rows() + start, references_.lengths.data() + start, end - start);
+    });
+    for (; first < last; ++first, query += size, scores += rows())
+      if (std::all_of(query, query + size, [](float number) { return number == 0; })) std::fill_n(scores, rows(), NONE);
+  }
+
+ private:
+  Floats queries_;
+  Size anchors_;
+  const VectorRows &references_;
   int threads_;
-  Size widths_;
-  Floats means_, of_means_;
-  std::vector<double> leads_, known_;
 };
 
 // Vectors that come one by one. The sums of the vectors so far, and of their products with each row, are kept
 // by the distance of their anchors from the usual one: those up to a width make the mean at this width.
 class LiveVectorComparison : public LiveComparison {
  public:
-  LiveVectorComparison(Size anchors, bool swept, Size length, const Held &rows, const Listing &listing, Floats prior)
-      : anchors_(anchors), widths_(swept ? anchors / 2 + 1 : 1), length_(length), rows_(rows), listing_(listing),
-        prior_(std::move(prior)), sums_(static_cast<std::size_t>(widths_)), leads_(sums_.size()),
-        known_(sums_.size()) {
+  LiveVectorComparison(Size anchors, bool swept, const VectorRows &rows, const Listing &listing, Floats prior)
+      : reach_(swept ? anchors / 2 : 0), skipped_(anchors / 2 - reach_), rows_(rows), prior_(std::move(prior)),
+        sums_(reach_ + 1), leads_(reach_ + 1, listing) {
     if (prior_.empty()) return;
-    of_prior_ = products(prior_.data(), 1, 1);
+    of_prior_ = rows_.products(prior_.data(), 1, 1);
     for (Sum &sum : sums_) {
       sum.vectors.resize(prior_.size());
       sum.products.resize(of_prior_.size());
@@ -268,37 +249,32 @@ class LiveVectorComparison : public LiveComparison {
   }
 
   void next(const void *query, int threads, float *scores) override {
-    const Size reach = widths_ - 1, rows = listing_.count(), count = 2 * reach + 1;
-    const float *first = static_cast<const float *>(query) + (anchors_ / 2 - reach) * length_;
-    Floats units(static_cast<std::size_t>(count * length_));
-    for (Size anchor = 0; anchor < count; ++anchor)
-      normalise(first + anchor * length_, length_, units.data() + anchor * length_);
-    const Floats of_rows = products(units.data(), count, threads);
+    const Size rows = rows_.count(), length = rows_.length, anchors = 2 * reach_ + 1;
+    Floats units(anchors * length);
+    for (Size anchor = 0; anchor < anchors; ++anchor)
+      normalise(static_cast<const float *>(query) + (skipped_ + anchor) * length, length, units.data() + anchor * length);
+    const Floats of_rows = rows_.products(units.data(), anchors, threads);
     if (!prior_.empty()) add(units, of_rows);
-    Sum sum{std::vector<double>(static_cast<std::size_t>(length_)), std::vector<double>(static_cast<std::size_t>(rows))};
-    Floats best(static_cast<std::size_t>(rows));
-    double most = -std::numeric_limits<double>::infinity();
-    for (Size at = 0; at < widths_; ++at) {
+    Sum sum{std::vector<double>(length), std::vector<double>(rows)};
+    Floats at_widths((reach_ + 1) * rows);
+    std::vector<Factors> factors(anchors);
+    for (Size at = 0; at <= reach_; ++at) {
       const auto [mean, of_mean] = means(at, sum);
-      std::fill(best.begin(), best.end(), NONE);
-      for (Size anchor = reach - at; anchor <= reach + at; ++anchor) {
-        const auto [part, factor] = factors_of(units.data() + anchor * length_, mean.data(), length_);
-        if (factor > 0) raise(best.data(), of_rows.data() + anchor * rows, of_mean.data(), part, factor, rows);
-      }
-      divide(best.data(), rows_.lengths.data(), rows);
-      const double lead = lead_so_far(best, at);
-      if (at && !(lead > most + MODEL.wider)) continue;
-      most = lead;
-      width = at;
-      std::copy(best.begin(), best.end(), scores);
+      for (Size anchor = reach_ - at; anchor <= reach_ + at; ++anchor)
+        factors[anchor] = factors_of(units.data() + anchor * length, mean.data(), length);
+      float *best = at_widths.data() + at * rows;
+      rows_.best_of(0, rows, of_rows.data(), rows, factors.data(), anchors, at, of_mean.data(), best);
+      leads_.add(at, best);
     }
+    width = leads_.best();
+    std::copy_n(at_widths.data() + width * rows, rows, scores);
   }
 
   void keep(Archive &archive) override {
     for (Sum &sum : sums_) archive(sum.vectors), archive(sum.products), archive(sum.count);
-    archive(leads_), archive(known_), archive(width);
-    for (const Sum &sum : sums_) require(sum.vectors.size() == prior_.size() && sum.products.size() == of_prior_.size());
-    require(leads_.size() == sums_.size() && known_.size() == sums_.size());
+    leads_.keep(archive), archive(width);
+    for (const Sum &sum : sums_)
+      require(sum.vectors.size() == prior_.size() && sum.products.size() == of_prior_.size());
   }
 
  private:
@@ -307,22 +283,12 @@ class LiveVectorComparison : public LiveComparison {
     double count = 0;
   };
 
-  Floats products(const float *vectors, Size count, int threads) const {
-    const Size rows = listing_.count();
-    Floats products(static_cast<std::size_t>(count * rows));
-    const Panels panels(vectors, count, 1, length_);
-    over_blocks(rows, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
-      panels.best(rows_.vectors + first * length_, last - first, products.data() + first, rows);
-    });
-    return products;
-  }
-
   void add(const Floats &units, const Floats &of_rows) {
-    const Size reach = widths_ - 1, rows = listing_.count();
-    for (Size anchor = 0; anchor <= 2 * reach; ++anchor) {
-      Sum &sum = sums_[static_cast<std::size_t>(std::abs(anchor - reach))];
-      if (!length_of(units.data() + anchor * length_, length_)) continue;
-      for (Size n = 0; n < length_; ++n) sum.vectors[n] += static_cast<double>(units[anchor * length_ + n]);
+    const Size rows = rows_.count(), length = rows_.length;
+    for (Size anchor = 0; anchor <= 2 * reach_; ++anchor) {
+      Sum &sum = sums_[std::abs(anchor - reach_)];
+      if (!length_of(units.data() + anchor * length, length)) continue;
+      for (Size n = 0; n < length; ++n) sum.vectors[n] += static_cast<double>(units[anchor * length + n]);
       for (Size row = 0; row < rows; ++row) sum.products[row] += static_cast<double>(of_rows[anchor * rows + row]);
       ++sum.count;
     }
@@ -332,29 +298,21 @@ class LiveVectorComparison : public LiveComparison {
   std::pair<Floats, Floats> means(Size at, Sum &sum) const {
     Floats mean(sum.vectors.size()), of_mean(sum.products.size());
     if (prior_.empty()) return {mean, of_mean};
-    const Sum &next = sums_[static_cast<std::size_t>(at)];
-    const double before = static_cast<double>(MODEL.before * (2 * at + 1)), count = (sum.count += next.count) + before;
-    for (std::size_t n = 0; n < mean.size(); ++n)
-      mean[n] = static_cast<float>(((sum.vectors[n] += next.vectors[n]) + before * static_cast<double>(prior_[n])) / count);
-    for (std::size_t row = 0; row < of_mean.size(); ++row)
-      of_mean[row] = static_cast<float>(((sum.products[row] += next.products[row]) + before * static_cast<double>(of_prior_[row])) / count);
+    const double before = static_cast<double>(MODEL.before * (2 * at + 1)), count = (sum.count += sums_[at].count) + before;
+    const auto add = [&](std::vector<double> &total, const std::vector<double> &more, const Floats &prior, Floats &mean) {
+      for (std::size_t n = 0; n < mean.size(); ++n)
+        mean[n] = static_cast<float>(((total[n] += more[n]) + before * static_cast<double>(prior[n])) / count);
+    };
+    add(sum.vectors, sums_[at].vectors, prior_, mean);
+    add(sum.products, sums_[at].products, of_prior_, of_mean);
     return {std::move(mean), std::move(of_mean)};
   }
 
-  // The mean lead of the queries so far at a width, with a query of these scores.
-  double lead_so_far(const Floats &scores, Size at) {
-    if (listing_.count() <= 2 * MODEL.elsewhere + 1) return 0;
-    const double lead = lead_of(scores.data(), listing_);
-    if (std::isfinite(lead)) leads_[static_cast<std::size_t>(at)] += lead, ++known_[static_cast<std::size_t>(at)];
-    return leads_[static_cast<std::size_t>(at)] / std::max(1.0, known_[static_cast<std::size_t>(at)]);
-  }
-
-  Size anchors_, widths_, length_;
-  const Held &rows_;
-  const Listing &listing_;
+  Size reach_, skipped_;  // anchors to each side that count; others before the first of these
+  const VectorRows &rows_;
   Floats prior_, of_prior_;  // the mean of the map, and the products of its rows with it
   std::vector<Sum> sums_;    // by distance from the usual anchor
-  std::vector<double> leads_, known_;
+  Leads leads_;
 };
 
 class VectorChannel : public Channel {
@@ -362,78 +320,69 @@ class VectorChannel : public Channel {
   VectorChannel(const float *rows, Size length, const Listing &listing, const float *means)
       : vectors_(rows), length_(length), listing_(listing), drives_(listing.drives), means_(means) {}
 
-  std::unique_ptr<Comparison> compare(const Queries &queries, bool standardised, bool swept,
-                                      int threads) override {
-    const Held &rows = held(standardised, threads);
-    const bool sweeps = swept && queries.anchors > 1;
-    const auto *given = static_cast<const float *>(queries.descriptors);
-    Size width = sweeps ? queries.anchors / 2 : 0;
-    Floats kept = anchors_of(given, queries, width);
-    if (sweeps) {
-      width = Narrowing(kept, queries.count, queries.anchors, length_, rows, listing_, standardised, threads).width();
-      kept = anchors_of(given, queries, width);
+  std::unique_ptr<Comparison> compare(const Queries &queries, bool standardised, bool swept, int threads) override {
+    const VectorRows &rows = this->rows(standardised, threads);
+    Size width = swept ? queries.anchors / 2 : 0;
+    Floats units = anchors_of(queries, width);
+    if (width) {
+      width = narrowed(units, queries.count, queries.anchors, rows, listing_, standardised, threads);
+      units = anchors_of(queries, width);
     }
-    const Size vectors = queries.count * (2 * width + 1);
     if (standardised && queries.count >= MODEL.min_frames) {
-      const Floats mean = mean_of(kept.data(), vectors, length_);
-      for (Size each = 0; each < vectors; ++each)
-        standardise(kept.data() + each * length_, mean.data(), length_, kept.data() + each * length_);
+      const Floats mean = mean_of(units.data(), queries.count * (2 * width + 1), length_);
+      for (float *vector = units.data(); vector < units.data() + units.size(); vector += length_)
+        standardise(vector, mean.data(), length_, vector);
     }
-    auto found = std::make_unique<VectorComparison>(std::move(kept), queries.count, 2 * width + 1, length_,
-                                                    rows, threads);
-    found->width = width;
-    return found;
+    auto comparison =
+        std::make_unique<VectorComparison>(std::move(units), queries.count, 2 * width + 1, rows, threads);
+    comparison->width = width;
+    return comparison;
   }
 
   std::unique_ptr<LiveComparison> live(Size anchors, bool standardised, bool swept, int threads) override {
     Floats prior;
     if (standardised) prior = mean_of(vectors_, drives_.rows, length_);
-    return std::make_unique<LiveVectorComparison>(anchors, swept, length_, held(standardised, threads), listing_, std::move(prior));
+    return std::make_unique<LiveVectorComparison>(anchors, swept, rows(standardised, threads), listing_, std::move(prior));
   }
 
  private:
   // The vectors of the anchors up to a width, at length 1.
-  Floats anchors_of(const float *given, const Queries &queries, Size width) const {
-    Floats kept(static_cast<std::size_t>(queries.count * (2 * width + 1) * length_));
-    float *target = kept.data();
+  Floats anchors_of(const Queries &queries, Size width) const {
+    const auto *vectors = static_cast<const float *>(queries.descriptors);
+    Floats units(queries.count * (2 * width + 1) * length_);
+    float *unit = units.data();
     for (Size query = 0; query < queries.count; ++query)
-      for (Size side = -width; side <= width; ++side, target += length_)
-        normalise(given + (query * queries.anchors + queries.anchors / 2 + side) * length_, length_, target);
-    return kept;
+      for (Size side = -width; side <= width; ++side, unit += length_)
+        normalise(vectors + (query * queries.anchors + queries.anchors / 2 + side) * length_, length_, unit);
+    return units;
   }
 
-  const Held &held(bool standardised, int threads) {
+  const VectorRows &rows(bool standardised, int threads) {
     const std::lock_guard<Mutex> hold(mutex_);
-    auto &found = held_[standardised];
-    if (found) return *found;
-    auto fresh = std::make_unique<Held>();
-    fresh->vectors = vectors_;
-    if (standardised && (means_ || drives_.rows >= MODEL.min_frames)) {
-      fresh->own.resize(static_cast<std::size_t>(drives_.rows * length_));
-      fresh->vectors = fresh->own.data();
-      standardise_rows(fresh->own.data(), threads);
+    auto &slot = rows_[standardised];
+    if (slot) return *slot;
+    auto rows = std::make_unique<VectorRows>(VectorRows{vectors_, length_, {}, {}});
+    std::vector<Shared> shared;
+    if (standardised) shared = sharing(drives_, means_, length_);
+    if (!shared.empty()) {
+      rows->centred.resize(drives_.rows * length_);
+      rows->vectors = rows->centred.data();
     }
-    for (Size row = 0; row < drives_.rows; ++row)
-      fresh->lengths.push_back(length_of(fresh->vectors + row * length_, length_));
-    found = std::move(fresh);
-    return *found;
-  }
-
-  void standardise_rows(float *target, int threads) const {
-    Floats of_all, mean;
-    const float *given = means_;
-    for (const Shared &shared : means_ ? each_alone(drives_) : sharing(drives_)) {
-      const bool all = !means_ && shared.to - shared.from == drives_.rows;
-      if (!means_ && (!all || of_all.empty()))
-        mean = mean_of(vectors_ + shared.from * length_, shared.to - shared.from, length_);
-      if (all && of_all.empty()) of_all = mean;
-      const float *less = means_ ? given : all ? of_all.data() : mean.data();
-      if (means_) given += length_;
-      over_blocks(shared.last - shared.first, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
-        for (Size row = shared.first + first; row < shared.first + last; ++row)
-          standardise(vectors_ + row * length_, less, length_, target + row * length_);
+    Floats of_all;
+    for (const auto &[start, end, from, to, fixed] : shared) {
+      const bool all = to - from == drives_.rows;
+      Floats mean;
+      if (fixed) mean.assign(fixed, fixed + length_);
+      else mean = all && !of_all.empty() ? of_all : mean_of(vectors_ + from * length_, to - from, length_);
+      if (all) of_all = mean;
+      over_blocks(end - start, ROWS_AT_ONCE, threads, [&, start = start](Size first, Size last) {
+        for (Size at = (start + first) * length_; at < (start + last) * length_; at += length_)
+          standardise(vectors_ + at, mean.data(), length_, rows->centred.data() + at);
       });
     }
+    for (Size row = 0; row < drives_.rows; ++row) rows->lengths.push_back(length_of((*rows)[row], length_));
+    slot = std::move(rows);
+    return *slot;
   }
 
   const float *vectors_;
@@ -442,7 +391,7 @@ class VectorChannel : public Channel {
   const Drives &drives_;  // of the list
   const float *means_;
   Mutex mutex_;
-  std::array<std::unique_ptr<Held>, 2> held_;
+  std::array<std::unique_ptr<VectorRows>, 2> rows_;
 };
 
 }  // namespace

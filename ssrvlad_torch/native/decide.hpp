@@ -20,9 +20,6 @@ namespace places {
 
 constexpr double HIGHEST_SCORE = 1.001;  // that rounding can give
 
-// Scores are NaN or higher than HIGHEST_SCORE.
-struct WrongScores {};
-
 // How queries run a map: the way, the rate of `Motion`, and as how many streams whose frames alternate.
 struct Course {
   int way = FORWARDS;

@@ -2,6 +2,8 @@
 
 #include "evidence.hpp"
 
+#include "interface.hpp"
+
 #include <numeric>
 
 namespace places {
@@ -76,7 +78,7 @@ Sight Evidence::sight_of(Size query) const {
   scores_.of(query, sight.scores.data());
   const Size count = listing_.count();
   if (std::isnan(sum(sight.scores.data(), count)) || highest(sight.scores.data(), count) > HIGHEST_SCORE)
-    throw WrongScores();
+    refuse("expected scores of at most 1.001, got a higher one or NaN");
   double matching = 0;
   for (std::size_t place = 0; place < listing_.weights.size(); ++place)
     if (sight.scores[place] != NONE) matching += listing_.weights[place];

@@ -3,6 +3,7 @@
 #ifndef SSRVLAD_FUSION_HPP
 #define SSRVLAD_FUSION_HPP
 
+#include <numeric>
 #include <utility>
 #include <vector>
 
@@ -38,6 +39,16 @@ inline void as_cosines(const double *z, Size count, double mean, double deviatio
       scores[row] = scores[row] == NONE ? NONE : cosine;
     }
   });
+}
+
+// The weights of channels, whose sum is 1, by their trust and by how far they led; where none leads, trust decides.
+inline std::vector<double> weights_of(const std::vector<double> &trust, const std::vector<double> &leads) {
+  std::vector<double> weights = trust;
+  for (std::size_t number = 0; number < trust.size(); ++number) weights[number] *= std::max(0.0, leads[number]);
+  if (!(std::accumulate(weights.begin(), weights.end(), 0.0) > 0)) weights = trust;
+  const double sum = std::accumulate(weights.begin(), weights.end(), 0.0);
+  for (double &weight : weights) weight /= sum;
+  return weights;
 }
 
 // The highest of values, and the highest that is not around it, from the first of two places to before the

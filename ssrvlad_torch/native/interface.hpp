@@ -1,9 +1,10 @@
-// Arguments of the C functions that are out of range.
+// What the C functions have in common: they refuse arguments, and what is thrown becomes a return code.
 
 #ifndef SSRVLAD_INTERFACE_HPP
 #define SSRVLAD_INTERFACE_HPP
 
 #include <algorithm>
+#include <exception>
 #include <initializer_list>
 
 #include "numbers.hpp"
@@ -11,13 +12,41 @@
 
 namespace places {
 
-// An argument is out of range, or a function of the caller refused; `ssrvlad_last_error` says why.
-struct Failed {
-  std::int64_t code;
-};
+// An argument is out of range; `ssrvlad_last_error` says why.
+struct Refused {};
 
 // Refuses an argument, with a reason as of printf.
 [[noreturn]] __attribute__((format(printf, 1, 2))) void refuse(const char *reason, ...);
+
+// Sets what `ssrvlad_last_error` says.
+void say(const char *reason);
+
+// Runs a function of the interface; what it throws becomes a return code.
+template <typename Function>
+int guarded(Function function) {
+  try {
+    function();
+    return SSRVLAD_OK;
+  } catch (const Refused &) {
+    return SSRVLAD_WRONG_ARGUMENT;
+  } catch (const std::exception &) {  // bad_alloc, or length_error of sizes beyond memory
+    say("not enough memory");
+    return SSRVLAD_NO_MEMORY;
+  }
+}
+
+// What a function makes for a program of this interface, or NULL.
+template <typename Function>
+auto made(int program, Function function) -> decltype(function()) {
+  decltype(function()) result = nullptr;
+  guarded([&] {
+    if (program != SSRVLAD_INTERFACE)
+      refuse("the library ssrvlad has interface %d, the program is of %d: compile it again",
+             SSRVLAD_INTERFACE, program);
+    result = function();
+  });
+  return result;
+}
 
 inline void require(bool holds, const char *expected = "arguments in range") {
   if (!holds) refuse("expected %s", expected);

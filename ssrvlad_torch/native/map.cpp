@@ -1,4 +1,4 @@
-// The map of map.hpp: its channels compare, are fused, and decide.
+// The map of map.hpp: its channels compare, are fused, and decide; and the functions of ssrvlad_map.h.
 
 #include "map.hpp"
 
@@ -9,7 +9,7 @@ namespace places {
 
 namespace {
 
-// Scores of another method that come query by query.
+// Scores of another method, which come query by query.
 class LiveScores : public LiveComparison {
  public:
   explicit LiveScores(Size rows) : rows_(rows) {}
@@ -22,14 +22,17 @@ class LiveScores : public LiveComparison {
   Size rows_;
 };
 
-// What a map is compared by, and what this is made of.
-class Together : public Scores {
+// Those of all queries, (count, rows).
+class Matrix : public Scores {
  public:
-  std::vector<std::unique_ptr<Scores>> parts;
+  Matrix(const float *scores, Size count, Size rows) : scores_(scores), count_(count), rows_(rows) {}
+  Size queries() const override { return count_; }
+  Size rows() const override { return rows_; }
+  void of(Size query, float *scores) const override { std::copy_n(scores_ + query * rows_, rows_, scores); }
 
-  Size queries() const override { return parts.back()->queries(); }
-  Size rows() const override { return parts.back()->rows(); }
-  void of(Size query, float *scores) const override { parts.back()->of(query, scores); }
+ private:
+  const float *scores_;
+  Size count_, rows_;
 };
 
 }  // namespace
@@ -63,7 +66,7 @@ void Map::add(const ssrvlad_channel &channel) {
 }
 
 void Map::check(Size number, const ssrvlad_queries &queries, Size count) const {
-  const Member &member = channels_[static_cast<std::size_t>(number)];
+  const Member &member = channels_[number];
   const Size size = member.channel ? member.of_mean : listing_.count();
   require((queries.descriptors || !count || !size) && queries.anchors >= 1 && queries.anchors % 2 == 1 &&
           may_be({count, queries.anchors, size}));
@@ -87,24 +90,15 @@ std::uint64_t Map::digest() const {
   std::uint64_t digest = digest_of(listing_.map.starts.data(), listing_.map.starts.size() * sizeof(Size), listing_.map.rows);
   for (const Member &member : channels_) {
     digest = digest_of(&member.trust, sizeof member.trust, digest + static_cast<std::uint64_t>(member.of_mean));
-    digest = digest_of(member.rows, static_cast<std::size_t>(member.bytes * listing_.count()), digest);
+    digest = digest_of(member.rows, member.bytes * listing_.count(), digest);
   }
   return digest;
 }
 
 std::unique_ptr<LiveComparison> Map::live(Size number, Size anchors, bool standardised, bool swept, int threads) const {
-  const Member &member = channels_[static_cast<std::size_t>(number)];
+  const Member &member = channels_[number];
   if (!member.channel) return std::make_unique<LiveScores>(listing_.count());
   return member.channel->live(anchors, standardised, swept, threads);
-}
-
-std::unique_ptr<Comparison> Map::compare(Size number, const ssrvlad_queries &queries, Size count, bool standardised,
-                                         bool swept, int threads) const {
-  check(number, queries, count);
-  const Member &member = channels_[static_cast<std::size_t>(number)];
-  const auto *numbers = static_cast<const float *>(queries.descriptors);
-  if (!member.channel) return comparison_of_scores(numbers, count, listing_.count());
-  return member.channel->compare({numbers, count, queries.anchors}, standardised, swept, threads);
 }
 
 std::unique_ptr<Scores> Map::compare(const ssrvlad_queries *queries, Size count, const ssrvlad_steps &steps,
@@ -113,68 +107,208 @@ std::unique_ptr<Scores> Map::compare(const ssrvlad_queries *queries, Size count,
     require(steps.excluded[number] >= 0 && steps.excluded[number] <= listing_.map.rows, "excluded rows of the map");
   taken.standardised = steps.standardise && std::min(count, listing_.map.rows) >= MODEL.min_frames;
   taken.width = 0;
-  auto together = std::make_unique<Together>();
-  std::vector<const Scores *> candidates;
-  for (Size number = 0; number < channels(); ++number) {
-    auto compared = compare(number, *queries++, count, taken.standardised, steps.sweep, threads);
-    taken.width = std::max(taken.width, compared->width);
-    together->parts.push_back(std::move(compared));
-    together->parts.push_back(std::make_unique<Candidates>(*together->parts.back(), listing_, steps.allowed, steps.excluded));
-    candidates.push_back(together->parts.back().get());
-  }
-  std::vector<double> weights = {1};
-  if (candidates.size() > 1) {
-    auto fused = std::make_unique<Fused>(candidates, trust(), listing_);
-    weights = fused->weights();
-    together->parts.push_back(std::move(fused));
+  std::vector<std::unique_ptr<Scores>> compared;
+  for (Size number = 0; number < channels(); ++number, ++queries) {
+    check(number, *queries, count);
+    const auto &channel = channels_[number].channel;
+    std::unique_ptr<Scores> scores;
+    if (channel) {
+      auto comparison = channel->compare({queries->descriptors, count, queries->anchors}, taken.standardised, steps.sweep, threads);
+      taken.width = std::max(taken.width, comparison->width);
+      scores = std::move(comparison);
+    } else {
+      scores = std::make_unique<Matrix>(static_cast<const float *>(queries->descriptors), count, listing_.count());
+    }
+    compared.push_back(std::make_unique<Candidates>(std::move(scores), listing_, steps.allowed, steps.excluded));
   }
   require(taken.weights);
-  std::copy(weights.begin(), weights.end(), taken.weights);
-  return together;
-}
-
-Decision Map::query(const ssrvlad_queries *queries, Size count, const ssrvlad_steps &steps, int threads,
-                    ssrvlad_taken &taken) const {
-  if (steps.follow == SSRVLAD_ONLINE) return track(queries, count, steps, threads, taken);
-  const auto scores = compare(queries, count, steps, threads, taken);
-  return decide(listing_, *scores, steps.follow == SSRVLAD_OFFLINE, steps.top);
-}
-
-Decision Map::track(const ssrvlad_queries *queries, Size count, const ssrvlad_steps &steps, int threads,
-                    ssrvlad_taken &taken) const {
-  Tracker tracker(*this, steps);
-  Decision decision(count, steps.top);
-  std::vector<ssrvlad_queries> next(queries, queries + channels());
-  for (std::vector<float> *values : {&decision.right, &decision.spread, &decision.together})
-    values->resize(static_cast<std::size_t>(count));
-  decision.follows.resize(static_cast<std::size_t>(count));
-  const auto take = [&] {
-    const Answer answer = tracker.answer();
-    const auto at = static_cast<std::size_t>(answer.query);
-    std::copy(answer.scores.begin(), answer.scores.end(), decision.scores.begin() + answer.query * steps.top);
-    std::copy(answer.rows.begin(), answer.rows.end(), decision.rows.begin() + answer.query * steps.top);
-    decision.right[at] = answer.right.front();
-    decision.spread[at] = answer.spread.front();
-    decision.together[at] = answer.together.front();
-    decision.follows[at] = answer.followed;
-    decision.followed |= answer.followed;
-    decision.course = answer.course;
-    decision.gain = answer.gain;
-    taken.width = answer.width;
-    std::copy(answer.weights.begin(), answer.weights.end(), taken.weights);
-  };
-  taken.standardised = steps.standardise && listing_.map.rows >= MODEL.min_frames;
-  for (Size query = 0; query < count; ++query) {
-    tracker.update(next.data(), steps.excluded ? steps.excluded + 2 * query : nullptr, threads);
-    if (tracker.waiting() > steps.delay) take();
-    for (Size number = 0; number < channels(); ++number) {
-      const Member &member = channels_[static_cast<std::size_t>(number)];
-      const Size bytes = member.channel ? member.bytes * next[number].anchors : listing_.count() * static_cast<Size>(sizeof(float));
-      next[number].descriptors = static_cast<const char *>(next[number].descriptors) + bytes;
-    }
-  }
-  while (tracker.waiting()) take();
-  return decision;
+  *taken.weights = 1;
+  if (compared.size() == 1) return std::move(compared.front());
+  auto fused = std::make_unique<Fused>(std::move(compared), trust(), listing_);
+  std::copy(fused->weights().begin(), fused->weights().end(), taken.weights);
+  return fused;
 }
 
 }  // namespace places
+
+// ---------------------------------------------------------------------------------- ssrvlad_map.h
+
+using namespace places;
+
+struct ssrvlad_map : Map {
+  using Map::Map;
+};
+
+struct ssrvlad_tracker : Tracker {
+  using Tracker::Tracker;
+};
+
+namespace {
+
+// Fills what is decided of queries, from a first one on.
+void give(const Decision &decided, Size first, ssrvlad_decision &decision) {
+  const auto copy = [first](const auto &values, auto *target, Size size) {
+    require(target || values.empty());
+    std::copy(values.begin(), values.end(), target + first * size);
+  };
+  copy(decided.scores, decision.scores, decided.top);
+  copy(decided.rows, decision.rows, decided.top);
+  copy(decided.right, decision.right, 1);
+  copy(decided.spread, decision.spread, 1);
+  copy(decided.together, decision.together, 1);
+  if (decision.follows) copy(decided.follows, decision.follows, 1);
+  decision.followed = (first && decision.followed) || decided.followed;
+  decision.way = decided.course.way;
+  decision.rate = decided.course.rate;
+  decision.streams = decided.course.streams;
+  decision.gain = decided.gain;
+}
+
+// The answer of a tracker to the first query that waits, and the number of this query.
+Size give(Tracker &tracker, Size first, ssrvlad_decision &decision, ssrvlad_taken &taken) {
+  const Answer answer = tracker.answer();
+  give(answer, first, decision);
+  require(taken.weights);
+  std::copy(answer.weights.begin(), answer.weights.end(), taken.weights);
+  taken.standardised = tracker.standardised();
+  taken.width = answer.width;
+  return answer.query;
+}
+
+// Finds queries as if they came one by one.
+void track(const Map &map, std::vector<ssrvlad_queries> next, Size count, const ssrvlad_steps &steps, int threads,
+           ssrvlad_decision &decision, ssrvlad_taken &taken) {
+  Tracker tracker(map, steps);
+  give(Decision(0, steps.top), 0, decision);
+  taken.standardised = tracker.standardised();
+  for (Size query = 0, answers = 0; query < count || tracker.waiting();) {
+    if (query < count) {
+      tracker.update(next.data(), steps.excluded ? steps.excluded + 2 * query : nullptr, threads);
+      ++query;
+      for (Size number = 0; number < map.channels(); ++number)
+        next[number].descriptors = static_cast<const char *>(next[number].descriptors) + map.bytes(number, next[number].anchors);
+    }
+    if (query == count || tracker.waits_long_enough()) give(tracker, answers++, decision, taken);
+  }
+}
+
+Drives drives_of(const ssrvlad_drives *map) {
+  require(map && map->count >= 0 && map->rows >= 0 && (map->count > 0) == (map->rows > 0) &&
+          (map->starts || !map->count));
+  Drives drives;
+  drives.rows = map->rows;
+  drives.starts.assign(map->starts, map->starts + map->count);
+  for (Size drive = 0; drive < map->count; ++drive)
+    require(drive ? drives.starts[drive] > drives.starts[drive - 1] : !drives.starts[drive],
+            "starts of drives that rise from 0");
+  require(!map->count || drives.starts.back() < drives.rows, "drives that start before the last row");
+  return drives;
+}
+
+void check(const ssrvlad_map *map, const ssrvlad_queries *queries, Size count, const ssrvlad_steps *steps,
+           const ssrvlad_taken *taken) {
+  require(map && queries && steps && taken && map->channels() && count >= 0, "a map of one channel or more, queries and steps");
+  require(steps->follow >= SSRVLAD_ALONE && steps->follow <= SSRVLAD_OFFLINE && steps->delay >= 0 &&
+          steps->top >= 1, "steps in range");
+}
+
+}  // namespace
+
+ssrvlad_map *ssrvlad_map_new_for(int program, const ssrvlad_drives *drives) {
+  return made(program, [&] { return new ssrvlad_map(Listing(drives_of(drives))); });
+}
+
+ssrvlad_map *ssrvlad_map_of_for(int program, const ssrvlad_drives *drives, const ssrvlad_shortlist *shortlist) {
+  return made(program, [&] {
+    Drives all = drives_of(drives);
+    const char *expected = "a shortlist of rising rows, each with a weight from 1";
+    require(shortlist && shortlist->rows && shortlist->weights && shortlist->count >= 1, expected);
+    const auto [rows, weights, count, means, means_count] = *shortlist;
+    for (Size place = 0; place < count; ++place)
+      require(rows[place] < all.rows && (place ? rows[place] > rows[place - 1] : rows[place] >= 0) &&
+              weights[place] >= 1 && std::isfinite(weights[place]), expected);
+    const ssrvlad_drives parts = {means, means_count, count};
+    return new ssrvlad_map(Listing(std::move(all), rows, {weights, weights + count}, drives_of(&parts)));
+  });
+}
+
+void ssrvlad_map_free(ssrvlad_map *map) { delete map; }
+
+int ssrvlad_map_add_channel(ssrvlad_map *map, const ssrvlad_channel *channel) {
+  return guarded([&] {
+    require(map && channel);
+    map->add(*channel);
+  });
+}
+
+int ssrvlad_map_query(const ssrvlad_map *map, const ssrvlad_queries *queries, int64_t count,
+                      const ssrvlad_steps *steps, int threads, ssrvlad_decision *decision,
+                      ssrvlad_taken *taken) {
+  return guarded([&] {
+    check(map, queries, count, steps, taken);
+    require(decision);
+    if (steps->follow == SSRVLAD_ONLINE)
+      return track(*map, {queries, queries + map->channels()}, count, *steps, threads, *decision, *taken);
+    const auto scores = map->compare(queries, count, *steps, threads, *taken);
+    give(decide(map->listing(), *scores, steps->follow == SSRVLAD_OFFLINE, steps->top), 0, *decision);
+  });
+}
+
+int ssrvlad_map_compare(const ssrvlad_map *map, const ssrvlad_queries *queries, int64_t count,
+                        const ssrvlad_steps *steps, int threads, float *scores, ssrvlad_taken *taken) {
+  return guarded([&] {
+    check(map, queries, count, steps, taken);
+    require(scores || !count);
+    const auto compared = map->compare(queries, count, *steps, threads, *taken);
+    for (Size query = 0; query < count; ++query) compared->of(query, scores + query * compared->rows());
+  });
+}
+
+ssrvlad_tracker *ssrvlad_tracker_new_for(int program, const ssrvlad_map *map, const ssrvlad_steps *steps) {
+  return made(program, [&] {
+    require(map && steps && map->channels() && steps->delay >= 0 && steps->top >= 1,
+            "a map of one channel or more, and steps in range");
+    return new ssrvlad_tracker(*map, *steps);
+  });
+}
+
+void ssrvlad_tracker_free(ssrvlad_tracker *tracker) { delete tracker; }
+
+int64_t ssrvlad_tracker_count(const ssrvlad_tracker *tracker) { return tracker ? tracker->count() : -1; }
+
+int ssrvlad_tracker_update(ssrvlad_tracker *tracker, const ssrvlad_queries *queries, int threads,
+                           ssrvlad_decision *decision, ssrvlad_taken *taken, int64_t *query) {
+  return guarded([&] {
+    require(tracker && queries && decision && taken && query);
+    *query = -1;
+    tracker->update(queries, nullptr, threads);
+    if (tracker->waits_long_enough()) *query = give(*tracker, 0, *decision, *taken);
+  });
+}
+
+int ssrvlad_tracker_finish(ssrvlad_tracker *tracker, ssrvlad_decision *decision, ssrvlad_taken *taken,
+                           int64_t *query) {
+  return guarded([&] {
+    require(tracker && decision && taken && query);
+    *query = -1;
+    if (tracker->waiting()) *query = give(*tracker, 0, *decision, *taken);
+  });
+}
+
+int64_t ssrvlad_tracker_save(ssrvlad_tracker *tracker, void *state, int64_t size) {
+  int64_t bytes = -1;
+  guarded([&] {
+    require(tracker && (state || size <= 0));
+    const std::vector<std::uint8_t> saved = tracker->save();
+    bytes = static_cast<int64_t>(saved.size());
+    if (bytes <= size) std::copy(saved.begin(), saved.end(), static_cast<std::uint8_t *>(state));
+  });
+  return bytes;
+}
+
+int ssrvlad_tracker_load(ssrvlad_tracker *tracker, const void *state, int64_t size) {
+  return guarded([&] {
+    require(tracker && state && size >= 0);
+    tracker->load(static_cast<const std::uint8_t *>(state), size);
+  });
+}

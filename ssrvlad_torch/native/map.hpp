@@ -9,7 +9,7 @@
 
 namespace places {
 
-// Its functions check the channels and queries, and throw `Failed`.
+// Its functions check the channels and queries, and throw `Refused`.
 class Map {
  public:
   explicit Map(Listing listing) : listing_(std::move(listing)) {}
@@ -28,8 +28,11 @@ class Map {
   void check(Size number, const ssrvlad_queries &queries, Size count) const;
   // What compares queries that come one by one with a channel.
   std::unique_ptr<LiveComparison> live(Size number, Size anchors, bool standardised, bool swept, int threads) const;
-  Decision query(const ssrvlad_queries *queries, Size count, const ssrvlad_steps &steps, int threads,
-                 ssrvlad_taken &taken) const;
+  // Of a query of a channel, from so many anchors.
+  Size bytes(Size number, Size anchors) const {
+    const Member &member = channels_[number];
+    return member.channel ? member.bytes * anchors : listing_.count() * static_cast<Size>(sizeof(float));
+  }
 
  private:
   // A channel, none for scores of another method, and what its queries must be.
@@ -41,12 +44,6 @@ class Map {
     const std::uint8_t *rows;
     Size bytes;  // of a row
   };
-
-  std::unique_ptr<Comparison> compare(Size number, const ssrvlad_queries &queries, Size count, bool standardised,
-                                      bool swept, int threads) const;
-
-  Decision track(const ssrvlad_queries *queries, Size count, const ssrvlad_steps &steps, int threads,
-                 ssrvlad_taken &taken) const;
 
   Listing listing_;
   std::vector<Member> channels_;

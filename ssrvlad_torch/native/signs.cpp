@@ -88,10 +88,10 @@ SSRVLAD_AVX2 Word differing_bits(Avx2, const Word *one, const Word *other, Size 
 void add(const Word *signs, Size words, Size count, std::vector<Word> &digits) {
   std::vector<Word> carry(signs, signs + words);
   for (Size digit = 0; count >> digit; ++digit) {
-    digits.resize(std::max(digits.size(), static_cast<std::size_t>((digit + 1) * words)));
+    if (static_cast<Size>(digits.size()) < (digit + 1) * words) digits.resize((digit + 1) * words);
     Word *place = digits.data() + digit * words;
     for (Size word = 0; word < words; ++word) {
-      Word &carried = carry[static_cast<std::size_t>(word)];
+      Word &carried = carry[word];
       const Word both = carried & place[word];
       place[word] ^= carried;
       carried = both;
@@ -99,59 +99,58 @@ void add(const Word *signs, Size words, Size count, std::vector<Word> &digits) {
   }
 }
 
-// The bits that differ of signs, moved, and rows.
-std::vector<std::int32_t> counted(const Word *signs, const Word *rows, Size count, const SignGrid &grid) {
-  std::vector<std::int32_t> differing(static_cast<std::size_t>(grid.moves() * count));
-  count_moves(signs, rows, count, grid, differing.data());
-  return differing;
-}
-
 // The products of the cells of signs with those of a mean.
-std::vector<double> products_of_cells(const Word *signs, const SignMean &mean, Size bits, const SignGrid &grid) {
-  std::vector<double> products(static_cast<std::size_t>(grid.columns * grid.rows));
+std::vector<double> products_of_cells(const Word *signs, const SignMean &mean, const SignGrid &grid) {
+  std::vector<double> products(grid.cells());
   on_cpu([&, grid](auto processor) {
     const Word *other = mean.planes.data();
     for (const double weight : mean.weights) {
       const Word *cell = signs;
       for (double &product : products) {
-        const auto differing = static_cast<Size>(differing_bits(processor, cell, other, 1, grid.words, 0));
-        product += weight * static_cast<double>(bits - 2 * differing);
-        cell += grid.words, other += grid.words;
+        const auto differing = static_cast<Size>(differing_bits(processor, cell, other, 1, grid.words(), 0));
+        product += weight * static_cast<double>(grid.bits() - 2 * differing);
+        cell += grid.words(), other += grid.words();
       }
     }
   });
   return products;
 }
 
-void add_squares(SignMean &mean, Size bits, const SignGrid &grid) {
-  mean.squares.resize(static_cast<std::size_t>(grid.columns * grid.rows));
+void add_squares(SignMean &mean, const SignGrid &grid) {
+  mean.squares.resize(grid.cells());
   for (Size plane = 0; plane < mean.count(); ++plane) {
-    const auto products = products_of_cells(mean.planes.data() + plane * grid.size(), mean, bits, grid);
-    const double weight = mean.weights[static_cast<std::size_t>(plane)];
+    const auto products = products_of_cells(mean.planes.data() + plane * grid.size(), mean, grid);
+    const double weight = mean.weights[plane];
     for (std::size_t cell = 0; cell < products.size(); ++cell) mean.squares[cell] += weight * products[cell];
   }
 }
 
 }  // namespace
 
+std::vector<Word> packed(const std::uint8_t *signs, Size count, const SignGrid &grid) {
+  std::vector<Word> words(count * grid.size());
+  for (Size cell = 0; cell < count * grid.cells(); ++cell)
+    std::memcpy(words.data() + cell * grid.words(), signs + cell * grid.bytes, grid.bytes);
+  return words;
+}
+
 void count_moves(const Word *signs, const Word *rows, Size count, const SignGrid &grid, std::int32_t *differing) {
-  on_cpu([=](auto processor) {
-    const Word *row = rows;
-    for (Size number = 0; number < count; ++number, row += grid.size())
-      for (Size move = 0; move < grid.moves(); ++move) {
+  on_cpu([=, words = grid.words(), moves = grid.moves()](auto processor) {
+    const Size step = grid.rows * words, size = grid.columns * step;
+    for (Size number = 0; number < count; ++number)
+      for (Size move = 0; move < moves; ++move) {
         const auto [ours, our_row, theirs, their_row, columns, cells] = grid.overlap(move);
         const Size at_once = cells == grid.rows ? columns : 1;  // columns without a gap between them
-        differing[move * count + number] = static_cast<std::int32_t>(
-            differing_bits(processor, signs + ours * grid.column() + our_row * grid.words,
-                           row + theirs * grid.column() + their_row * grid.words, columns / at_once,
-                           at_once * cells * grid.words, grid.column()));
+        differing[move * count + number] = static_cast<std::int32_t>(differing_bits(
+            processor, signs + ours * step + our_row * words, rows + number * size + theirs * step + their_row * words,
+            columns / at_once, at_once * cells * words, step));
       }
   });
 }
 
 void count_in_place(const Word *signs, const Word *rows, Size count, const SignGrid &grid, std::int32_t *differing) {
   const Size width = grid.rows + 1;
-  std::vector<std::int32_t> sums(static_cast<std::size_t>((grid.columns + 1) * width));  // of the cells before each
+  std::vector<std::int32_t> sums((grid.columns + 1) * width);  // of the cells before each
   on_cpu([=, at = sums.data()](auto) {
     const Word *row = rows;
     for (Size number = 0; number < count; ++number) {
@@ -159,7 +158,7 @@ void count_in_place(const Word *signs, const Word *rows, Size count, const SignG
       for (Size column = 0; column < grid.columns; ++column) {
         std::int32_t *here = at + (column + 1) * width, in_column = 0;
         for (Size cell = 0; cell < grid.rows; ++cell) {
-          for (Size word = 0; word < grid.words; ++word) in_column += ones(*other++ ^ *row++);
+          for (Size word = 0; word < grid.words(); ++word) in_column += ones(*other++ ^ *row++);
           here[cell + 1] = here[cell + 1 - width] + in_column;
         }
       }
@@ -172,7 +171,7 @@ void count_in_place(const Word *signs, const Word *rows, Size count, const SignG
   });
 }
 
-SignMean SignMean::of(const Word *signs, Size count, Size bits, const SignGrid &grid) {
+SignMean SignMean::of(const Word *signs, Size count, const SignGrid &grid) {
   const Size words = grid.size();
   SignMean mean;
   bool is_one = true;
@@ -184,29 +183,29 @@ SignMean SignMean::of(const Word *signs, Size count, Size bits, const SignGrid &
   // A count is the sum of half the numbers 1 and -1 of each digit, and half of all their weights.
   double weight = 1, all = static_cast<double>(count);
   for (Size digit = 0; count >> digit; ++digit, weight *= 2) mean.weights.push_back(weight / all);
-  mean.planes.resize(mean.planes.size() + static_cast<std::size_t>(words));  // minus ones
+  mean.planes.resize(mean.planes.size() + words);  // minus ones
   mean.weights.push_back((all + 1 - weight) / all);
-  add_squares(mean, bits, grid);
+  add_squares(mean, grid);
   return mean;
 }
 
-SignMean SignMean::near(const float *numbers, Size bits, const SignGrid &grid) {
-  const Size count = grid.columns * grid.rows * bits;
-  if (std::all_of(numbers, numbers + count, [](float number) { return std::abs(number) == 1; })) return {};
-  SignMean mean = rounded(numbers, DIGITS, false, bits, grid);
-  add_squares(mean, bits, grid);
+SignMean SignMean::near(const float *numbers, const SignGrid &grid) {
+  const float *end = numbers + grid.cells() * grid.bits();
+  if (std::all_of(numbers, end, [](float number) { return std::abs(number) == 1; })) return {};
+  SignMean mean = rounded(numbers, DIGITS, false, grid);
+  add_squares(mean, grid);
   return mean;
 }
 
-SignMean SignMean::rounded(const float *numbers, int digits, bool up_and_down, Size bits, const SignGrid &grid) {
+SignMean SignMean::rounded(const float *numbers, int digits, bool up_and_down, const SignGrid &grid) {
   const double most = (1 << digits) - 1, turn = up_and_down ? 0.6180339887498949 : 0;  // the golden ratio: evenly spread
   SignMean mean;
-  mean.planes.resize(static_cast<std::size_t>(digits * grid.size()));
+  mean.planes.resize(digits * grid.size());
   for (int digit = 0; digit < digits; ++digit) mean.weights.push_back(static_cast<double>(1 << digit) / most);
   on_cpu([=, planes = mean.planes.data()](auto) {
     for (Size word = 0; word < grid.size(); ++word) {
-      const Size in_cell = word % grid.words * WORD_BITS, count = std::min(WORD_BITS, bits - in_cell);
-      const float *number = numbers + word / grid.words * bits + in_cell;
+      const Size in_cell = word % grid.words() * WORD_BITS, count = std::min(WORD_BITS, grid.bits() - in_cell);
+      const float *number = numbers + word / grid.words() * grid.bits() + in_cell;
       std::int64_t levels[WORD_BITS] = {};
       for (Size bit = 0; bit < count; ++bit) {
         const double share = (std::clamp(static_cast<double>(number[bit]), -1.0, 1.0) + 1) / 2;
@@ -223,57 +222,46 @@ SignMean SignMean::rounded(const float *numbers, int digits, bool up_and_down, S
   return mean;
 }
 
-std::vector<double> products(const Word *signs, const SignMean &mean, Size bits, const SignGrid &grid) {
-  std::vector<double> sums(static_cast<std::size_t>(grid.moves()));
-  const auto differing = counted(signs, mean.planes.data(), mean.count(), grid);
+std::vector<double> products(const Word *signs, const SignMean &mean, const SignGrid &grid) {
+  std::vector<double> sums(grid.moves());
+  std::vector<std::int32_t> differing(grid.moves() * mean.count());
+  count_moves(signs, mean.planes.data(), mean.count(), grid, differing.data());
   std::size_t at = 0;
   for (Size move = 0; move < grid.moves(); ++move)
     for (const double weight : mean.weights)
-      sums[static_cast<std::size_t>(move)] += weight * static_cast<double>(bits * grid.overlap(move).cells() - 2 * differing[at++]);
+      sums[move] += weight * static_cast<double>(grid.overlapping(move) - 2 * differing[at++]);
   return sums;
 }
 
-namespace {
-// The products of a mean with rows by bits that differ, as a function counts them for a plane.
-template <class Counting>
-void add_planes(Counting count_in, const SignMean &mean, const Word *rows, Size count, Size bits, const SignGrid &grid, float *products) {
-  std::vector<double> sums(static_cast<std::size_t>(grid.moves() * count));
+std::vector<double> products(const SignMean &mean, const SignMean &other, const SignGrid &grid) {
+  std::vector<double> sums(grid.moves());
+  for (Size plane = 0; plane < mean.count(); ++plane) {
+    const auto more = products(mean.planes.data() + plane * grid.size(), other, grid);
+    for (std::size_t move = 0; move < sums.size(); ++move) sums[move] += mean.weights[plane] * more[move];
+  }
+  return sums;
+}
+
+void products(const SignMean &mean, const Word *rows, Size count, const SignGrid &grid, decltype(count_moves) count_in,
+              float *products) {
+  std::vector<double> sums(grid.moves() * count);
   std::vector<std::int32_t> differing(sums.size());
   for (Size plane = 0; plane < mean.count(); ++plane) {
     count_in(mean.planes.data() + plane * grid.size(), rows, count, grid, differing.data());
-    const double weight = mean.weights[static_cast<std::size_t>(plane)];
-    std::size_t at = 0;
+    const double weight = mean.weights[plane];
     for (Size move = 0; move < grid.moves(); ++move)
-      for (Size row = 0; row < count; ++row, ++at)
-        sums[at] += weight * static_cast<double>(bits * grid.overlap(move).cells() - 2 * differing[at]);
+      for (Size at = move * count, bits = grid.overlapping(move); at < (move + 1) * count; ++at)
+        sums[at] += weight * static_cast<double>(bits - 2 * differing[at]);
   }
   std::transform(sums.begin(), sums.end(), products, [](double sum) { return static_cast<float>(sum); });
 }
-}  // namespace
 
-void products(const SignMean &mean, const Word *rows, Size count, Size bits, const SignGrid &grid, float *products) {
-  add_planes(count_moves, mean, rows, count, bits, grid, products);
-}
-
-void products_in_place(const SignMean &mean, const Word *rows, Size count, Size bits, const SignGrid &grid, float *products) {
-  add_planes(count_in_place, mean, rows, count, bits, grid, products);
-}
-
-std::vector<double> products(const SignMean &mean, const SignMean &other, Size bits, const SignGrid &grid) {
-  std::vector<double> sums(static_cast<std::size_t>(grid.moves()));
-  for (Size plane = 0; plane < mean.count(); ++plane) {
-    const auto more = products(mean.planes.data() + plane * grid.size(), other, bits, grid);
-    for (std::size_t move = 0; move < sums.size(); ++move) sums[move] += mean.weights[static_cast<std::size_t>(plane)] * more[move];
-  }
-  return sums;
-}
-
-std::vector<double> numbers(const SignMean &mean, Size bits, const SignGrid &grid) {
+std::vector<double> numbers(const SignMean &mean, const SignGrid &grid) {
   std::vector<double> numbers;
-  for (Size cell = 0; cell < grid.columns * grid.rows; ++cell)
-    for (Size bit = 0; bit < bits; ++bit) {
+  for (Size cell = 0; cell < grid.cells(); ++cell)
+    for (Size bit = 0; bit < grid.bits(); ++bit) {
       double number = 0;
-      const Word *word = mean.planes.data() + cell * grid.words + bit / WORD_BITS;
+      const Word *word = mean.planes.data() + cell * grid.words() + bit / WORD_BITS;
       for (const double weight : mean.weights) {
         number += *word >> bit % WORD_BITS & 1 ? weight : -weight;
         word += grid.size();
@@ -283,10 +271,10 @@ std::vector<double> numbers(const SignMean &mean, Size bits, const SignGrid &gri
   return numbers;
 }
 
-std::vector<double> squares(const Word *signs, const SignMean &mean, Size bits, const SignGrid &grid) {
-  std::vector<double> squares(static_cast<std::size_t>(grid.columns * grid.rows), static_cast<double>(bits));
+std::vector<double> squares(const Word *signs, const SignMean &mean, const SignGrid &grid) {
+  std::vector<double> squares(grid.cells(), static_cast<double>(grid.bits()));
   if (!mean.count()) return squares;
-  const auto products = products_of_cells(signs, mean, bits, grid);
+  const auto products = products_of_cells(signs, mean, grid);
   for (std::size_t cell = 0; cell < squares.size(); ++cell)
     squares[cell] = std::max(0.0, squares[cell] + mean.squares[cell] - 2 * products[cell]);
   return squares;
@@ -294,12 +282,12 @@ std::vector<double> squares(const Word *signs, const SignMean &mean, Size bits, 
 
 std::vector<float> lengths(const std::vector<double> &squares, const SignGrid &grid, bool is_moved) {
   const Size width = grid.rows + 1;
-  std::vector<double> sums(static_cast<std::size_t>((grid.columns + 1) * width));  // of the cells before each
-  const auto sum = [&](Size column, Size row) -> double & { return sums[static_cast<std::size_t>(column * width + row)]; };
+  std::vector<double> sums((grid.columns + 1) * width);  // of the cells before each
+  const auto sum = [&](Size column, Size row) -> double & { return sums[column * width + row]; };
   for (Size column = 0; column < grid.columns; ++column)
     for (Size row = 0; row < grid.rows; ++row)
       sum(column + 1, row + 1) = sum(column, row + 1) + sum(column + 1, row) - sum(column, row) +
-                                 squares[static_cast<std::size_t>(column * grid.rows + row)];
+                                 squares[column * grid.rows + row];
   std::vector<float> lengths;
   for (Size move = 0; move < grid.moves(); ++move) {
     const auto overlap = grid.overlap(move);

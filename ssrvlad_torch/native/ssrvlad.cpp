@@ -1,4 +1,4 @@
-// The method of describe.hpp in plain C++17.
+// The method in plain C++17: label maps to descriptors, and the functions of ssrvlad.h.
 //
 // A layer is a plane of bits, stored by rows of 64-bit words, with the leftmost pixel in the lowest
 // bit. Every row ends with at least one background bit, so the bit before a row's first pixel, the
@@ -8,29 +8,26 @@
 // Compile it with -ffp-contract=off: where multiplication and addition are fused, sums are rounded
 // differently.
 
-#include "describe.hpp"
-
 #include <algorithm>
 #include <array>
 #include <atomic>
 #include <cmath>
-#include <cstddef>
-#include <cstdint>
+#include <cstdarg>
+#include <cstdio>
 #include <cstring>
 #include <list>
-#include <limits>
 #include <memory>
-#include <new>
 #include <vector>
 
 #include "cpu.hpp"
+#include "fingerprint.hpp"
+#include "interface.hpp"
 #include "parallel.hpp"
 
 namespace {
 
-using places::in_parallel, places::on_cpu;
+using namespace places;
 using Word = std::uint64_t;
-using Size = std::int64_t;
 
 constexpr int LAYERS = SSRVLAD_LAYERS;
 constexpr int KINDS = LAYERS + 1;  // the categories and no layer
@@ -96,11 +93,11 @@ class Lookup {
  public:
   template <class Meaning>
   Lookup(const ssrvlad_table &table, Meaning meaning)
-      : origin_(table.origin), entries_(static_cast<std::size_t>(table.entries + 2)) {
+      : origin_(table.origin), entries_(table.entries + 2) {
     entries_.front() = entries_.back() = meaning(SSRVLAD_UNKNOWN);
     for (Size i = 0; i < table.entries; ++i)
-      entries_[static_cast<std::size_t>(i + 1)] = meaning(table.categories[i]);
-    for (Size id = 0; id < 256; ++id) bytes_[static_cast<std::size_t>(id)] = entries_[place(id)];
+      entries_[i + 1] = meaning(table.categories[i]);
+    for (Size id = 0; id < 256; ++id) bytes_[id] = entries_[place(id)];
   }
   SSRVLAD_INLINE Entry operator[](std::uint8_t id) const { return bytes_[id]; }
   SSRVLAD_INLINE Entry operator[](Size id) const { return entries_[place(id)]; }
@@ -109,21 +106,19 @@ class Lookup {
   std::size_t place(Size id) const {
     const Size last = static_cast<Size>(entries_.size()) - 1;
     const Size within = std::max(-origin_ - 1, std::min(id, last - 1 - origin_));
-    return static_cast<std::size_t>(within + origin_ + 1);
+    return within + origin_ + 1;
   }
   Size origin_;
   std::vector<Entry> entries_;
   std::array<Entry, 256> bytes_;
 };
 
-SSRVLAD_INLINE bool eight_alike(const std::uint8_t *ids) {
+template <class Id>
+SSRVLAD_INLINE bool eight_alike(const Id *ids) {
+  if constexpr (sizeof(Id) > 1) return false;
   Word eight;
   std::memcpy(&eight, ids, 8);
   return eight == *ids * LEFT;
-}
-template <class Id>
-SSRVLAD_INLINE bool eight_alike(const Id *) {
-  return false;
 }
 
 template <class Id>
@@ -144,7 +139,7 @@ int winner(Word ballots, const std::array<Word, KINDS> &counted) {
   int best = 0;
   Word most = 0;
   for (int kind = 0; kind < KINDS; ++kind) {
-    const Word votes = counted[static_cast<std::size_t>(kind)] +
+    const Word votes = counted[kind] +
                        (ballots >> BALLOT_BITS * kind & MOST_BALLOTS);
     if (votes > most) most = votes, best = kind;
   }
@@ -194,7 +189,7 @@ int cell_winner(const Id *ids, Size pitch, Size rows, Size columns, const Lookup
       }
       if (pending < MOST_BALLOTS) continue;
       for (int kind = 0; kind < KINDS; ++kind)
-        counted[static_cast<std::size_t>(kind)] += ballots >> BALLOT_BITS * kind & MOST_BALLOTS;
+        counted[kind] += ballots >> BALLOT_BITS * kind & MOST_BALLOTS;
       ballots = 0, pending = 0;
     }
   return winner(ballots, counted);
@@ -293,7 +288,7 @@ void dilate(Word *plane, const Grid &grid, Size radius, Words &larger) {
   const Size pitch = grid.pitch + 2 * radius / 64 + 1, rows = grid.height + 2 * radius;
   const Size total = rows * pitch, whole = radius / 64;
   const int bits = static_cast<int>(radius % 64);
-  larger.assign(static_cast<std::size_t>(total + 2 * pitch), 0);
+  larger.assign(total + 2 * pitch, 0);
   for (Size y = 0; y < grid.height; ++y) {
     const Word *row = plane + y * grid.pitch;
     Word *moved = larger.data() + (y + radius) * pitch + whole;
@@ -310,7 +305,7 @@ void dilate(Word *plane, const Grid &grid, Size radius, Words &larger) {
   });
   for (Size y = 0; y < grid.height; ++y)
     for (Size i = 0; i < grid.pitch; ++i)
-      plane[y * grid.pitch + i] = larger[static_cast<std::size_t>(y * pitch + i)] & grid.inside(i);
+      plane[y * grid.pitch + i] = larger[y * pitch + i] & grid.inside(i);
 }
 
 void erode(Word *plane, const Grid &grid, Size radius, Words &buffer) {
@@ -335,36 +330,21 @@ void open_and_close(Word *plane, const Grid &grid, Size opening, Size closing, W
 // Horizontal runs of a plane and the region of each, by union-find. The first run is the root.
 class Regions {
  public:
-  // Finds regions of foreground or background; 8-connected if `diagonal`, else 4-connected.
-  void find(const Word *plane, const Grid &grid, bool of_background, bool diagonal) {
-    count_ = 0;
-    rows_.resize(static_cast<std::size_t>(grid.height + 1));
-    Size above = 0;
-    for (Size y = 0; y < grid.height; ++y, plane += grid.pitch) {
-      const Size here = count_;
-      rows_[static_cast<std::size_t>(y)] = here;
-      add_row(plane, grid, of_background);
-      join(above, here, diagonal);
-      above = here;
-    }
-    rows_.back() = count_;
-    for (Size i = 0; i < count_; ++i) runs_[i].region = runs_[runs_[i].region].region;
-  }
-
-  // Clears or sets the regions of fewer than `area` pixels. With `enclosed`, regions at the image
-  // border are left alone: their runs at the border add `area` to the size.
-  void paint_small(Word *plane, const Grid &grid, Size area, bool enclosed, bool on) {
+  // Clears the 8-connected regions of fewer than `area` pixels, or fills such holes: 4-connected regions of background
+  // that do not touch the border of the image.
+  void repaint(Word *plane, const Grid &grid, Size area, bool holes) {
+    if (area <= 1) return;
+    find(plane, grid, holes);
     for (Size i = 0; i < count_; ++i) runs_[i].size = 0;
     for (Size y = 0; y < grid.height; ++y)
-      for (Size i = begin(y); i < begin(y + 1); ++i) {
+      for (Size i = rows_[y]; i < rows_[y + 1]; ++i) {
         const Run &run = runs_[i];
-        const bool border =
-            y == 0 || y == grid.height - 1 || run.first == 0 || run.end == grid.width;
-        runs_[run.region].size += run.end - run.first + (enclosed && border ? area : 0);
+        const bool border = y == 0 || y == grid.height - 1 || run.first == 0 || run.end == grid.width;
+        runs_[run.region].size += run.end - run.first + (holes && border ? area : 0);
       }
     for (Size y = 0; y < grid.height; ++y, plane += grid.pitch)
-      for (Size i = begin(y); i < begin(y + 1); ++i)
-        if (runs_[runs_[i].region].size < area) paint(plane, runs_[i].first, runs_[i].end, on);
+      for (Size i = rows_[y]; i < rows_[y + 1]; ++i)
+        if (runs_[runs_[i].region].size < area) paint(plane, runs_[i].first, runs_[i].end, holes);
   }
 
  private:
@@ -374,13 +354,26 @@ class Regions {
     Size size;  // of the region, stored at its root
   };
 
-  Size begin(Size y) const { return rows_[static_cast<std::size_t>(y)]; }
+  void find(const Word *plane, const Grid &grid, bool holes) {
+    count_ = 0;
+    rows_.resize(grid.height + 1);
+    Size above = 0;
+    for (Size y = 0; y < grid.height; ++y, plane += grid.pitch) {
+      const Size here = count_;
+      rows_[y] = here;
+      add_row(plane, grid, holes);
+      join(above, here, holes ? 0 : 1);
+      above = here;
+    }
+    rows_.back() = count_;
+    for (Size i = 0; i < count_; ++i) runs_[i].region = runs_[runs_[i].region].region;
+  }
 
-  void add_row(const Word *row, const Grid &grid, bool of_background) {
+  void add_row(const Word *row, const Grid &grid, bool holes) {
     const Size most = count_ + grid.width / 2 + 1;
     if (most > capacity_) {
       capacity_ = 2 * most;
-      std::unique_ptr<Run[]> more(new Run[static_cast<std::size_t>(capacity_)]);
+      std::unique_ptr<Run[]> more(new Run[capacity_]);
       std::copy(runs_.get(), runs_.get() + count_, more.get());
       runs_ = std::move(more);
     }
@@ -388,7 +381,7 @@ class Regions {
     Run *run = runs_.get() + count_;
     bool open = false;
     for (Size i = 0; i < grid.pitch; ++i) {
-      const Word word = of_background ? ~row[i] & grid.inside(i) : row[i];
+      const Word word = holes ? ~row[i] & grid.inside(i) : row[i];
       Word steps = word ^ (word << 1 | before);
       before = word >> 63;
       for (; steps; steps &= steps - 1) {
@@ -410,8 +403,7 @@ class Regions {
     return run;
   }
 
-  void join(Size above, Size here, bool diagonal) {
-    const std::int32_t reach = diagonal ? 1 : 0;
+  void join(Size above, Size here, std::int32_t reach) {
     const Size end = here;
     for (Size i = here; i < count_; ++i) {
       const Run run = runs_[i];
@@ -438,18 +430,6 @@ class Regions {
   std::vector<Size> rows_;
 };
 
-void fill_holes(Word *plane, const Grid &grid, Size area, Regions &regions) {
-  if (area <= 1) return;
-  regions.find(plane, grid, true, false);
-  regions.paint_small(plane, grid, area, true, true);
-}
-
-void drop_regions(Word *plane, const Grid &grid, Size area, Regions &regions) {
-  if (area <= 1) return;
-  regions.find(plane, grid, false, true);
-  regions.paint_small(plane, grid, area, false, false);
-}
-
 // ------------------------------------------------------------------------------------------- tiles
 
 // A plane as tiles: pixel (y, x) of a tile is bit 8 * y + x. A background tile ends each row, and
@@ -458,11 +438,15 @@ struct Tiles {
   Size rows = 0, columns = 0, pitch = 0;
   Words words;
 
-  void shape_for(const Grid &grid) {
-    rows = (grid.height + 7) / 8, columns = (grid.width + 7) / 8, pitch = columns + 1;
-    words.assign(static_cast<std::size_t>((rows + 2) * pitch + 2), 0);
-  }
   Size first(Size row) const { return (row + 1) * pitch + 1; }
+
+  // Calls a function with the row, the column and the place of each tile that has foreground.
+  template <class Visit>
+  void visit(Visit visit) const {
+    for (Size row = 0; row < rows; ++row)
+      for (Size column = 0, i = first(row); column < columns; ++column, ++i)
+        if (words[i]) visit(row, column, i);
+  }
 };
 
 // Eight rows of a word <-> eight tiles: transposes a square of 8 x 8 bytes; it is its own inverse.
@@ -480,7 +464,8 @@ void transpose_bytes(Word square[8]) {
 }
 
 void to_tiles(const Word *plane, const Grid &grid, Tiles &tiles) {
-  tiles.shape_for(grid);
+  tiles.rows = (grid.height + 7) / 8, tiles.columns = (grid.width + 7) / 8, tiles.pitch = tiles.columns + 1;
+  tiles.words.assign((tiles.rows + 2) * tiles.pitch + 2, 0);
   for (Size row = 0; row < tiles.rows; ++row)
     for (Size i = 0; i < grid.pitch; ++i) {
       Word square[8] = {}, seen = 0;
@@ -489,7 +474,7 @@ void to_tiles(const Word *plane, const Grid &grid, Tiles &tiles) {
       if (!seen) continue;
       transpose_bytes(square);
       const Size count = std::min<Size>(8, tiles.columns - 8 * i);
-      std::copy(square, square + count, &tiles.words[static_cast<std::size_t>(tiles.first(row) + 8 * i)]);
+      std::copy(square, square + count, &tiles.words[tiles.first(row) + 8 * i]);
     }
 }
 
@@ -498,9 +483,16 @@ struct Ring {
   Word n, ne, e, se, s, sw, w, nw;
 };
 
-// The neighbours in a tile, from it and the eight tiles around it in reading order.
-SSRVLAD_INLINE Ring ring_of(Word a, Word b, Word c, Word d, Word here, Word f, Word g, Word h,
-                            Word i) {
+// A tile and those around it, in reading order.
+using Nine = std::array<Word, 9>;
+
+SSRVLAD_INLINE Nine nine_at(const Word *tile, Size pitch) {
+  return {tile[-pitch - 1], tile[-pitch],     tile[-pitch + 1], tile[-1],       tile[0],
+          tile[1],          tile[pitch - 1],  tile[pitch],      tile[pitch + 1]};
+}
+
+SSRVLAD_INLINE Ring ring_of(const Nine &nine) {
+  const auto [a, b, c, d, here, f, g, h, i] = nine;
   const auto west = [](Word left, Word middle) {
     return (middle & ~RIGHT) << 1 | (left & RIGHT) >> 7;
   };
@@ -513,11 +505,6 @@ SSRVLAD_INLINE Ring ring_of(Word a, Word b, Word c, Word d, Word here, Word f, W
   const Word south_of_right = f >> 8 | i << 56;
   return {north,           east(north, north_of_right), east(here, f), east(south, south_of_right),
           south,           west(south_of_left, south),  west(d, here), west(north_of_left, north)};
-}
-
-Ring ring_at(const Word *tile, Size pitch) {
-  return ring_of(tile[-pitch - 1], tile[-pitch], tile[-pitch + 1], tile[-1], tile[0], tile[1],
-                 tile[pitch - 1], tile[pitch], tile[pitch + 1]);
 }
 
 // The 0 -> 1 steps around each pixel, at most one in each quarter of the ring, as four planes.
@@ -571,9 +558,8 @@ using Block = std::array<std::array<Word, BLOCK>, 9>;
 
 template <Word (*RULE)(Word, const Ring &)>
 SSRVLAD_INLINE void delete_from(const Block &t, Word *gone) {
-  for (std::size_t i = 0; i < BLOCK; ++i)
-    gone[i] = RULE(t[4][i], ring_of(t[0][i], t[1][i], t[2][i], t[3][i], t[4][i], t[5][i], t[6][i],
-                                    t[7][i], t[8][i]));
+  for (Size i = 0; i < BLOCK; ++i)
+    gone[i] = RULE(t[4][i], ring_of({t[0][i], t[1][i], t[2][i], t[3][i], t[4][i], t[5][i], t[6][i], t[7][i], t[8][i]}));
 }
 
 void delete_pixels(const Block &around, int thinning, bool first, Word *gone) {
@@ -600,7 +586,7 @@ class Thinning {
       for (Size i = 0; i < now_.count; ++i) waiting_[now_[i]] &= static_cast<std::uint8_t>(~(1 << kind));
       for (Size i = 0; i < now_.count; i += BLOCK) look_at(tiles, i, thinning, kind == 0);
       for (Size i = 0; i < now_.count; ++i)
-        if (gone_[static_cast<std::size_t>(i)]) take(tiles, now_[i], gone_[static_cast<std::size_t>(i)]);
+        if (gone_[i]) take(tiles, now_[i], gone_[i]);
     }
   }
 
@@ -608,7 +594,7 @@ class Thinning {
   struct Places {
     std::vector<std::uint32_t> places;
     Size count = 0;
-    Size operator[](Size i) const { return places[static_cast<std::size_t>(i)]; }
+    Size operator[](Size i) const { return places[i]; }
   };
 
   // At first all tiles with foreground are due, except full tiles among full tiles.
@@ -617,44 +603,33 @@ class Thinning {
     waiting_.assign(total, 0);
     gone_.resize(total + BLOCK);
     for (Places *list : {&due_[0], &due_[1], &now_}) list->places.resize(total + 1), list->count = 0;
-    const Size pitch = tiles.pitch;
-    for (Size row = 0; row < tiles.rows; ++row)
-      for (Size i = tiles.first(row); i < tiles.first(row) + tiles.columns; ++i) {
-        const Word *tile = &tiles.words[static_cast<std::size_t>(i)];
-        if (!*tile) continue;
-        const bool full = (tile[-pitch - 1] & tile[-pitch] & tile[-pitch + 1] & tile[-1] & tile[0] &
-                           tile[1] & tile[pitch - 1] & tile[pitch] & tile[pitch + 1]) == ALL;
-        if (!full) call(tiles, i);
-      }
+    tiles.visit([&](Size, Size, Size i) {
+      Word all = ALL;
+      for (const Word tile : nine_at(&tiles.words[i], tiles.pitch)) all &= tile;
+      if (all != ALL) call(tiles, i);
+    });
   }
 
   SSRVLAD_INLINE void call(const Tiles &tiles, Size place) {
-    if (!tiles.words[static_cast<std::size_t>(place)]) return;
-    const unsigned missing = 3u & ~waiting_[static_cast<std::size_t>(place)];
-    waiting_[static_cast<std::size_t>(place)] = 3;
-    due_[0].places[static_cast<std::size_t>(due_[0].count)] = static_cast<std::uint32_t>(place);
+    if (!tiles.words[place]) return;
+    const unsigned missing = 3u & ~waiting_[place];
+    waiting_[place] = 3;
+    due_[0].places[due_[0].count] = static_cast<std::uint32_t>(place);
     due_[0].count += missing & 1;
-    due_[1].places[static_cast<std::size_t>(due_[1].count)] = static_cast<std::uint32_t>(place);
+    due_[1].places[due_[1].count] = static_cast<std::uint32_t>(place);
     due_[1].count += missing >> 1;
   }
 
   void look_at(const Tiles &tiles, Size from, int thinning, bool first) {
-    const Size count = std::min(BLOCK, now_.count - from), pitch = tiles.pitch;
-    const Word *words = tiles.words.data();
-    for (Size i = 0; i < count; ++i) {
-      const Word *tile = words + now_[from + i];
-      const auto at = static_cast<std::size_t>(i);
-      block_[0][at] = tile[-pitch - 1], block_[1][at] = tile[-pitch];
-      block_[2][at] = tile[-pitch + 1], block_[3][at] = tile[-1];
-      block_[4][at] = tile[0], block_[5][at] = tile[1];
-      block_[6][at] = tile[pitch - 1], block_[7][at] = tile[pitch];
-      block_[8][at] = tile[pitch + 1];
+    for (Size i = 0; i < std::min(BLOCK, now_.count - from); ++i) {
+      const Nine nine = nine_at(&tiles.words[now_[from + i]], tiles.pitch);
+      for (std::size_t k = 0; k < 9; ++k) block_[k][i] = nine[k];
     }
-    delete_pixels(block_, thinning, first, &gone_[static_cast<std::size_t>(from)]);
+    delete_pixels(block_, thinning, first, &gone_[from]);
   }
 
   void take(Tiles &tiles, Size place, Word gone) {
-    tiles.words[static_cast<std::size_t>(place)] &= ~gone;
+    tiles.words[place] &= ~gone;
     const Size above = place - tiles.pitch, below = place + tiles.pitch;
     call(tiles, place);
     if (gone & TOP) call(tiles, above);
@@ -681,32 +656,22 @@ class Thinning {
 
 // End points have at most one neighbour. Intersections have three or more steps around them, and no
 // such pixel to the W, NW, N or NE.
-void keypoints(const Tiles &skeleton, Tiles &ends, Tiles &crossings, Tiles &buffer) {
-  const auto like = [&](Tiles &tiles) {
-    tiles.rows = skeleton.rows, tiles.columns = skeleton.columns, tiles.pitch = skeleton.pitch;
-    tiles.words.assign(skeleton.words.size(), 0);
-  };
-  like(ends), like(crossings), like(buffer);
-  const auto visit_tiles = [&](const Tiles &of, auto visit) {
-    for (Size row = 0; row < of.rows; ++row)
-      for (Size i = of.first(row); i < of.first(row) + of.columns; ++i)
-        if (of.words[static_cast<std::size_t>(i)]) visit(static_cast<std::size_t>(i));
-  };
-  visit_tiles(skeleton, [&](std::size_t i) {
-    const Ring r = ring_at(&skeleton.words[i], skeleton.pitch);
+void find_keypoints(const Tiles &skeleton, Tiles &keypoints, Tiles &crossings) {
+  keypoints = skeleton, crossings = skeleton;
+  skeleton.visit([&](Size, Size, Size i) {
+    const Ring r = ring_of(nine_at(&skeleton.words[i], skeleton.pitch));
     Word seen = 0, again = 0;
     for (const Word beside : {r.n, r.ne, r.e, r.se, r.s, r.sw, r.w, r.nw})
       again |= seen & beside, seen |= beside;
-    ends.words[i] = skeleton.words[i] & ~again;
+    keypoints.words[i] &= ~again;
     const auto [a, b, c, d] = steps_around(r);
-    buffer.words[i] = skeleton.words[i] & ((a & b & (c | d)) | (c & d & (a | b)));
+    crossings.words[i] &= (a & b & (c | d)) | (c & d & (a | b));
   });
-  visit_tiles(buffer, [&](std::size_t i) {
-    const Ring r = ring_at(&buffer.words[i], buffer.pitch);
-    crossings.words[i] = buffer.words[i] & ~(r.w | r.nw | r.n | r.ne);
+  crossings.visit([&](Size, Size, Size i) {
+    const Ring r = ring_of(nine_at(&crossings.words[i], crossings.pitch));
+    keypoints.words[i] |= crossings.words[i] & ~(r.w | r.nw | r.n | r.ne);
   });
 }
-
 
 // -------------------------------------------------------- residuals around shape contexts (Eq. 1, 2)
 
@@ -714,19 +679,14 @@ struct Point {
   std::int32_t y, x;
 };
 
-// The foreground pixels of `tiles` and of `more`.
-void points_of(const Tiles &tiles, const Tiles *more, std::vector<Point> &points) {
+void points_of(const Tiles &tiles, std::vector<Point> &points) {
   points.clear();
-  for (Size row = 0; row < tiles.rows; ++row)
-    for (Size column = 0; column < tiles.columns; ++column) {
-      const auto i = static_cast<std::size_t>(tiles.first(row) + column);
-      Word word = tiles.words[i] | (more ? more->words[i] : 0);
-      for (; word; word &= word - 1) {
-        const int bit = lowest_bit(word);
-        points.push_back({static_cast<std::int32_t>(8 * row + bit / 8),
-                          static_cast<std::int32_t>(8 * column + bit % 8)});
-      }
+  tiles.visit([&](Size row, Size column, Size i) {
+    for (Word word = tiles.words[i]; word; word &= word - 1) {
+      const int bit = lowest_bit(word);
+      points.push_back({static_cast<std::int32_t>(8 * row + bit / 8), static_cast<std::int32_t>(8 * column + bit % 8)});
     }
+  });
 }
 
 // The centroid of a layer's pixels, rounded to the nearest pixel, halves up (Eq. 1).
@@ -762,14 +722,14 @@ struct Bins {
       : height(height), width(width), pitch(2 * width - 1),
         centre((height - 1) * pitch + width - 1),
         total(static_cast<int>(limits.size()) * sectors),
-        table(static_cast<std::size_t>((2 * height - 1) * pitch), static_cast<std::uint16_t>(total)) {
+        table((2 * height - 1) * pitch, static_cast<std::uint16_t>(total)) {
     for (Size dy = 1 - height; dy < height; ++dy)
       for (Size dx = 1 - width; dx < width; ++dx) {
         const Size squared = dy * dy + dx * dx;
         if (squared == 0 || squared > limits.back()) continue;
         int ring = 0;
-        while (squared > limits[static_cast<std::size_t>(ring)]) ++ring;
-        table[static_cast<std::size_t>(centre + dy * pitch + dx)] =
+        while (squared > limits[ring]) ++ring;
+        table[centre + dy * pitch + dx] =
             static_cast<std::uint16_t>(ring * sectors + sector_of(dy, dx, sectors));
       }
   }
@@ -811,17 +771,17 @@ void normalise(double *values, Size count) {
 Size vanishing_column(const Word *planes, const Grid &grid, std::vector<Size> &open) {
   constexpr Size LEVELS = 64, ONE = Size{1} << 20, PULL = 20;
   constexpr int SHIFT = 6 * 8 - 20;
-  open.assign(static_cast<std::size_t>(grid.width), 0);
+  open.assign(grid.width, 0);
   for (Size y = 0; y < grid.height; ++y)
     for (Size x = 0; x < grid.width; x += 64) {
       const Size i = y * grid.pitch + x / 64;
       const Word word = planes[i] | planes[grid.words() + i] | planes[5 * grid.words() + i];
       const Size count = std::min<Size>(64, grid.width - x);
-      for (Size j = 0; j < count; ++j) open[static_cast<std::size_t>(x + j)] += word >> j & 1;
+      for (Size j = 0; j < count; ++j) open[x + j] += word >> j & 1;
     }
   Size moment = 0, total = grid.width * ONE / PULL;
   for (Size x = 0; x < grid.width; ++x) {
-    const Size level = open[static_cast<std::size_t>(x)] * LEVELS / grid.height;
+    const Size level = open[x] * LEVELS / grid.height;
     const Size squared = level * level, fourth = squared * squared;
     const Size weight = fourth * fourth >> SHIFT;
     moment += weight * (2 * x - (grid.width - 1)), total += weight;
@@ -839,7 +799,7 @@ bool pool(const Word *plane, const Grid &grid, Size shift, Cells &cells) {
   std::array<Size, CELL_COLUMNS + 1> bounds;
   const Size units = grid.width * CELL_COLUMNS;
   for (Size c = 0; c <= CELL_COLUMNS; ++c)
-    bounds[static_cast<std::size_t>(c)] =
+    bounds[c] =
         std::max<Size>(0, std::min(units, c * grid.width + shift * CELL_COLUMNS));
   bool seen = false;
   for (Size y = 0; y < grid.height; ++y, plane += grid.pitch) {
@@ -859,7 +819,7 @@ bool pool(const Word *plane, const Grid &grid, Size shift, Cells &cells) {
     const Size top = y * CELL_ROWS, bottom = top + CELL_ROWS;
     for (Size row = top / grid.height; row * grid.height < bottom; ++row) {
       const Size overlap = std::min(bottom, (row + 1) * grid.height) - std::max(top, row * grid.height);
-      Size *sum = &sums[static_cast<std::size_t>(row * CELL_COLUMNS)];
+      Size *sum = &sums[row * CELL_COLUMNS];
       for (std::size_t c = 0; c < CELL_COLUMNS; ++c) sum[c] += overlap * across[c];
     }
   }
@@ -917,7 +877,7 @@ struct SoftBins {
   std::array<std::vector<Entry>, CELLS> entries;
 
   explicit SoftBins(const ssrvlad_settings &s)
-      : total(static_cast<std::size_t>(s.rings * s.sectors)) {
+      : total(s.rings * s.sectors) {
     constexpr int SAMPLES = 4;
     std::vector<Cells> weights(total, Cells{});
     for (int i = 0; i < CELL_ROWS * SAMPLES; ++i)
@@ -938,7 +898,7 @@ struct SoftBins {
             const double in_ring = std::max(0.0, 1 - std::abs(ring - n));
             const double in_sector = std::max(0.0, 1 - apart) + std::max(0.0, 1 - (s.sectors - apart));
             const int cell = i / SAMPLES * CELL_COLUMNS + j / SAMPLES;
-            weights[static_cast<std::size_t>(n * s.sectors + m)][static_cast<std::size_t>(cell)] +=
+            weights[n * s.sectors + m][cell] +=
                 in_ring * in_sector;
           }
       }
@@ -968,8 +928,8 @@ std::vector<double> harmonic_basis(const ssrvlad_settings &s) {
     for (int v = 0; v < (s.sectors + 1) / 2; ++v)
       for (int sine = 0; sine <= (v ? 1 : 0); ++sine) waves.push_back({u * u + v * v, u, v, sine});
   std::sort(waves.begin(), waves.end());
-  waves.resize(static_cast<std::size_t>(std::max(s.harmonics, s.boundary_harmonics)));
-  const auto total = static_cast<std::size_t>(s.rings * s.sectors);
+  waves.resize(std::max(s.harmonics, s.boundary_harmonics));
+  const std::size_t total = s.rings * s.sectors;
   std::vector<double> basis(total * waves.size()), wave;
   for (std::size_t i = 0; i < waves.size(); ++i) {
     const auto &[squared, u, v, sine] = waves[i];
@@ -1006,7 +966,7 @@ struct Scratch {
   std::vector<std::uint8_t> categories;
   Words layers, clean, boundaries, buffer;
   Regions regions;
-  Tiles tiles, ends, crossings, more;
+  Tiles tiles, keypoints, crossings;
   Thinning thinning;
   std::vector<Point> references, context;
   std::vector<Size> around_points, around_centre, columns;
@@ -1024,21 +984,28 @@ auto with_ids(const ssrvlad_labels &labels, Visit visit) {
   }
 }
 
-Size count_unknown(const ssrvlad_labels &labels, const ssrvlad_table &table) {
-  const Lookup<std::uint8_t> is_unknown(
-      table, [](std::uint8_t category) { return static_cast<std::uint8_t>(category > LAYERS); });
-  return with_ids(labels, [&](const auto *ids) {
-    Size count = 0;
-    for (Size i = 0; i < labels.images * labels.height * labels.width; ++i)
-      count += is_unknown[as_id(ids[i])];
-    return count;
-  });
+// Computes the layers of an image on its working grid. False if an id is unknown.
+template <class Id>
+bool read_layers(Scratch &s, const Id *ids, const ssrvlad_labels &labels, const Grid &grid,
+                 const Lookup<Word> &ballots, const Lookup<std::uint16_t> &layers) {
+  s.layers.resize(LAYERS * grid.words());
+  if (grid.height == labels.height && grid.width == labels.width)
+    return split(ids, grid, layers, s.layers.data());
+  s.categories.resize(grid.height * grid.width);
+  if (!vote(ids, labels.height, labels.width, ballots, grid.height, grid.width,
+            s.categories.data()))
+    return false;
+  static const Lookup<std::uint16_t> of_categories = [] {
+    const std::uint8_t categories[KINDS] = {0, 1, 2, 3, 4, 5, 6, 7, SSRVLAD_NO_LAYER};
+    return Lookup<std::uint16_t>({categories, KINDS, 0}, layer_of);
+  }();
+  return split(s.categories.data(), grid, of_categories, s.layers.data());
 }
 
-}  // namespace
-
-struct places::Head::State {
-  explicit State(const ssrvlad_settings &settings) : settings(settings) {
+// Settings, with their tables and the working memory of threads.
+class Head {
+ public:
+  explicit Head(const ssrvlad_settings &settings) : settings(settings) {
     if (settings.aggregation == SSRVLAD_RESIDUALS) return;
     soft_bins = std::make_unique<SoftBins>(settings);
     basis = harmonic_basis(settings);
@@ -1050,6 +1017,30 @@ struct places::Head::State {
     return AREA_LAYERS * Size{settings.harmonics} + DIRECTIONS * Size{settings.boundary_harmonics};
   }
 
+  // Returns the number of pixels with an unknown id; unless it is 0, the descriptors are undefined.
+  Size describe(const ssrvlad_labels &labels, const ssrvlad_table &table, int threads, float *descriptors) {
+    const Lookup<Word> ballots(table, ballot_of);
+    const Lookup<std::uint16_t> layers(table, layer_of);
+    const Grid grid = this->grid(labels.height, labels.width);
+    const Size size = labels.height * labels.width;
+    std::atomic<bool> all_known{true};
+    return with_ids(labels, [&](const auto *ids) {
+      in_parallel(labels.images, threads, [&](std::atomic<Size> &next) {
+        auto scratch = take_scratch();
+        for (Size i; all_known && (i = next++) < labels.images;) {
+          if (read_layers(*scratch, ids + i * size, labels, grid, ballots, layers))
+            describe(*scratch, grid, descriptors + i * length());
+          else all_known = false;
+        }
+        give_back(std::move(scratch));
+      });
+      Size unknown = 0;
+      for (Size i = 0; !all_known && i < labels.images * size; ++i) unknown += layers[as_id(ids[i])] == UNKNOWN_LAYER;
+      return unknown;
+    });
+  }
+
+ private:
   Grid grid(Size height, Size width) const {
     const Size shorter = std::min(height, width), size = settings.working_size;
     if (size == 0 || size >= shorter) return {height, width};
@@ -1058,7 +1049,7 @@ struct places::Head::State {
 
   // Computes the descriptor of one image from its layers.
   void describe(Scratch &s, const Grid &grid, float *descriptor) {
-    s.values.assign(static_cast<std::size_t>(length()), 0);
+    s.values.assign(length(), 0);
     if (settings.aggregation == SSRVLAD_RESIDUALS) residuals(s, grid);
     else harmonics(s, grid);
     normalise(s.values.data(), length());
@@ -1078,9 +1069,6 @@ struct places::Head::State {
     spare.push_back(std::move(scratch));
   }
 
-  ssrvlad_settings settings;
-
- private:
   void clean(Scratch &s, const Grid &grid) {
     const Size opening = radius_pixels(settings.opening, grid);
     const Size closing = radius_pixels(settings.closing, grid);
@@ -1091,8 +1079,8 @@ struct places::Head::State {
       Word *plane = s.clean.data() + k * grid.words();
       if (!any(plane, grid.words())) continue;
       open_and_close(plane, grid, opening, closing, s.buffer);
-      fill_holes(plane, grid, hole, s.regions);
-      drop_regions(plane, grid, region, s.regions);
+      s.regions.repaint(plane, grid, hole, true);
+      s.regions.repaint(plane, grid, region, false);
     }
   }
 
@@ -1108,11 +1096,11 @@ struct places::Head::State {
       Point centre;
       if (!centroid(s.clean.data() + k * grid.words(), grid, centre)) continue;
       thin(s, grid, k);
-      keypoints(s.tiles, s.ends, s.crossings, s.more);
-      points_of(s.ends, &s.crossings, s.references);
-      points_of(s.tiles, nullptr, s.context);
+      find_keypoints(s.tiles, s.keypoints, s.crossings);
+      points_of(s.keypoints, s.references);
+      points_of(s.tiles, s.context);
       const auto &context = settings.context == SSRVLAD_SKELETON ? s.context : s.references;
-      const auto half = static_cast<std::size_t>(bins->total + 1);
+      const auto half = bins->total + 1;
       s.around_points.assign(2 * half, 0);
       s.around_centre = s.around_points;
       for (const Point &point : s.references) shape_context(point, context, *bins, s.around_points);
@@ -1120,7 +1108,7 @@ struct places::Head::State {
       double *vector = s.values.data() + Size{k} * bins->total;
       const auto number = static_cast<Size>(s.references.size());
       for (int i = 0; i < bins->total; ++i) {  // Eq. 2
-        const auto bin = static_cast<std::size_t>(i);
+        const auto bin = i;
         const Size points = s.around_points[bin] + s.around_points[half + bin];
         const Size around_it = s.around_centre[bin] + s.around_centre[half + bin];
         vector[i] = static_cast<double>(points - number * around_it);
@@ -1134,7 +1122,7 @@ struct places::Head::State {
     merge(s.layers.data(), grid);
     const bool moved = settings.anchor == SSRVLAD_VANISHING_COLUMN;
     const Size shift = moved ? vanishing_column(s.layers.data(), grid, s.columns) : 0;
-    s.boundaries.assign(static_cast<std::size_t>(DIRECTIONS * words), 0);
+    s.boundaries.assign(DIRECTIONS * words, 0);
     double *held = s.values.data();
     for (int k = 0; k < AREA_LAYERS; ++k, held += settings.harmonics) {
       const Word *layer = s.layers.data() + k * words;
@@ -1188,6 +1176,7 @@ struct places::Head::State {
     return limits;
   }
 
+  ssrvlad_settings settings;
   std::unique_ptr<SoftBins> soft_bins;
   std::vector<double> basis;
   places::Mutex mutex;
@@ -1195,55 +1184,120 @@ struct places::Head::State {
   std::list<std::shared_ptr<const Bins>> known_bins;
 };
 
-namespace {
+// -------------------------------------------------------------------------------------- ssrvlad.h
 
-// Computes the layers of an image on its working grid. False if an id is unknown.
-template <class Id>
-bool read_layers(Scratch &s, const Id *ids, const ssrvlad_labels &labels, const Grid &grid,
-                 const Lookup<Word> &ballots, const Lookup<std::uint16_t> &layers) {
-  s.layers.resize(static_cast<std::size_t>(LAYERS * grid.words()));
-  if (grid.height == labels.height && grid.width == labels.width)
-    return split(ids, grid, layers, s.layers.data());
-  s.categories.resize(static_cast<std::size_t>(grid.height * grid.width));
-  if (!vote(ids, labels.height, labels.width, ballots, grid.height, grid.width,
-            s.categories.data()))
-    return false;
-  static const Lookup<std::uint16_t> of_categories = [] {
-    const std::uint8_t categories[KINDS] = {0, 1, 2, 3, 4, 5, 6, 7, SSRVLAD_NO_LAYER};
-    return Lookup<std::uint16_t>({categories, KINDS, 0}, layer_of);
-  }();
-  return split(s.categories.data(), grid, of_categories, s.layers.data());
+thread_local char last_error[256];
+
+constexpr Size MOST_PIXELS = Size{1} << 31, MOST_BYTES = Size{1} << 58;
+
+void check(const ssrvlad_settings *settings) {
+  require(settings, "settings");
+  const ssrvlad_settings &s = *settings;
+  require_range("opening", s.opening, 0, 0.5);
+  require_range("closing", s.closing, 0, 0.5);
+  require_range("hole_area", s.hole_area, 0, 1);
+  require_range("region_area", s.region_area, 0, 1);
+  require_range("radius", s.radius, 1e-300, 1);
+  require_range("inner_radius", s.inner_radius, 1e-300, 1);
+  require_range("spectral_weight", s.spectral_weight, 0, 4);
+  require_range("power", s.power, 0.5, 1);
+  require_range("working_size", s.working_size, 0, 1 << 14);
+  require_range("rings", s.rings, 1, 64);
+  require_range("sectors", s.sectors, 1, 360);
+  require_range("thinning", s.thinning, SSRVLAD_ZHANG_SUEN, SSRVLAD_GUO_HALL);
+  require_range("context", s.context, SSRVLAD_SKELETON, SSRVLAD_KEYPOINTS);
+  require_range("aggregation", s.aggregation, SSRVLAD_RESIDUALS, SSRVLAD_HARMONICS);
+  require_range("anchor", s.anchor, SSRVLAD_VANISHING_COLUMN, SSRVLAD_MIDDLE);
+  const bool unused = s.aggregation == SSRVLAD_RESIDUALS;
+  const int most = unused ? 1 << 12 : s.rings * (2 * ((s.sectors + 1) / 2) - 1);
+  require_range("harmonics", s.harmonics, 1, std::min(most, 1 << 12));
+  require_range("boundary_harmonics", s.boundary_harmonics, 1, std::min(most, 1 << 12));
+}
+
+void check(const ssrvlad_labels *labels, const ssrvlad_table *table) {
+  require(labels && table, "label maps and a table");
+  const auto [ids, bytes, images, height, width] = *labels;
+  require(ids, "images");
+  if (images < 1 || height < 1 || width < 1 || height >= MOST_PIXELS / width ||
+      images > MOST_BYTES / 8 / height / width)
+    refuse("expected images of up to 2^31 pixels, got %lld of %lld x %lld", static_cast<long long>(images),
+           static_cast<long long>(height), static_cast<long long>(width));
+  if (bytes != 1 && bytes != 2 && bytes != 4 && bytes != 8)
+    refuse("expected ids of 1, 2, 4 or 8 bytes, got %d", bytes);
+  require(table->categories && table->entries > 0 && table->origin >= 0 && table->origin < table->entries,
+          "a table of categories with its origin among its entries");
 }
 
 }  // namespace
 
-namespace places {
-
-Head::Head(const ssrvlad_settings &settings) : state_(std::make_unique<State>(settings)) {}
-
-Head::~Head() = default;
-
-Size Head::length() const { return state_->length(); }
-
-Size Head::describe(const ssrvlad_labels &labels, const ssrvlad_table &table, int threads,
-                    float *descriptors) {
-  const Lookup<Word> ballots(table, ballot_of);
-  const Lookup<std::uint16_t> layers(table, layer_of);
-  const Grid grid = state_->grid(labels.height, labels.width);
-  std::atomic<bool> all_known{true};
-  in_parallel(labels.images, threads, [&](std::atomic<Size> &next) {
-    auto scratch = state_->take_scratch();
-    with_ids(labels, [&](const auto *ids) {
-      for (Size i; all_known && (i = next++) < labels.images;) {
-        const auto *image = ids + i * labels.height * labels.width;
-        if (read_layers(*scratch, image, labels, grid, ballots, layers))
-          state_->describe(*scratch, grid, descriptors + i * length());
-        else all_known = false;
-      }
-    });
-    state_->give_back(std::move(scratch));
-  });
-  return all_known ? 0 : count_unknown(labels, table);
+void places::refuse(const char *reason, ...) {
+  std::va_list values;
+  va_start(values, reason);
+  std::vsnprintf(last_error, sizeof last_error, reason, values);
+  va_end(values);
+  throw Refused();
 }
 
-}  // namespace places
+void places::say(const char *reason) { std::snprintf(last_error, sizeof last_error, "%s", reason); }
+
+struct ssrvlad_head : Head {
+  explicit ssrvlad_head(const ssrvlad_settings &settings) : Head(settings), fingerprint(fingerprint_of(settings)) {}
+  const std::string fingerprint;
+};
+
+#ifndef SSRVLAD_SOURCE
+#define SSRVLAD_SOURCE ""
+#endif
+
+const char *ssrvlad_last_error(void) { return last_error; }
+
+const char *ssrvlad_source(void) { return SSRVLAD_SOURCE; }
+
+const char *ssrvlad_simd(void) { return simd_name(); }
+
+int ssrvlad_interface(void) { return SSRVLAD_INTERFACE; }
+
+int ssrvlad_preset(const char *name, ssrvlad_settings *settings) {
+  return guarded([&] {
+    require(name && settings, "the name of a preset and settings");
+    const bool paper = !std::strcmp(name, "paper");
+    if (!paper && std::strcmp(name, "default")) refuse("expected the preset default or paper, got %s", name);
+    ssrvlad_settings s{};
+    s.opening = 0.0, s.closing = 0.01, s.hole_area = 0.002, s.region_area = 0.0005;
+    s.radius = 0.5, s.inner_radius = paper ? 1.0 / 16 : 1.0 / 6;
+    s.spectral_weight = 1.0, s.power = 0.75;
+    s.working_size = paper ? 0 : 120;
+    s.rings = paper ? 5 : 6, s.sectors = paper ? 12 : 20;
+    s.harmonics = 64, s.boundary_harmonics = 24;
+    s.thinning = SSRVLAD_ZHANG_SUEN, s.context = SSRVLAD_SKELETON;
+    s.aggregation = paper ? SSRVLAD_RESIDUALS : SSRVLAD_HARMONICS;
+    s.anchor = SSRVLAD_VANISHING_COLUMN;
+    *settings = s;
+  });
+}
+
+ssrvlad_head *ssrvlad_new_for(int program, const ssrvlad_settings *settings) {
+  return made(program, [&] {
+    check(settings);
+    return new ssrvlad_head(*settings);
+  });
+}
+
+void ssrvlad_free(ssrvlad_head *head) { delete head; }
+
+int64_t ssrvlad_length(const ssrvlad_head *head) {
+  return head ? head->length() : Size{SSRVLAD_WRONG_ARGUMENT};
+}
+
+const char *ssrvlad_fingerprint(const ssrvlad_head *head) { return head ? head->fingerprint.c_str() : ""; }
+
+int64_t ssrvlad_describe(ssrvlad_head *head, const ssrvlad_labels *labels,
+                         const ssrvlad_table *table, int threads, float *descriptors) {
+  int64_t unknown = 0;
+  const int code = guarded([&] {
+    require(head && descriptors, "a head and memory for descriptors");
+    check(labels, table);
+    unknown = head->describe(*labels, *table, threads, descriptors);
+  });
+  return code ? code : unknown;
+}

@@ -2,6 +2,7 @@
 
 #include "tracker.hpp"
 
+#include "fusion.hpp"
 #include "interface.hpp"
 
 namespace places {
@@ -64,7 +65,7 @@ std::vector<float> Tracker::scores_of(const ssrvlad_queries *queries, const Size
   const Fusion fusion(std::move(scores), listing_);
   const std::vector<double> leads = fusion.leads();
   for (std::size_t number = 0; number < leads.size(); ++number) leads_[number] += leads[number];
-  weights_ = weights_of(map_.trust(), leads_, count_ + 1);
+  weights_ = weights_of(map_.trust(), count_ + 1 < MODEL.min_frames ? std::vector<double>(leads.size()) : leads_);
   std::vector<float> fused(static_cast<std::size_t>(listing_.count()));
   fusion.of(weights_, fused.data());
   return fused;
