@@ -1,11 +1,10 @@
 // The fingerprint of settings: SHA-256 of a text that Python's json.dumps writes as well.
 
-#include "fingerprint.hpp"
-
-#include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <map>
+
+#include "interface.hpp"
 
 namespace places {
 

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <exception>
 #include <initializer_list>
+#include <string>
 
 #include "numbers.hpp"
 #include "ssrvlad.h"
@@ -56,6 +57,9 @@ inline void require_range(const char *name, double value, double lowest, double 
   if (!(value >= lowest && value <= highest))
     refuse("%s: expected %.10g to %.10g, got %.10g", name, lowest, highest, value);
 }
+
+// That of `SSRVLADConfig.fingerprint`, 16 hexadecimal digits.
+std::string fingerprint_of(const ssrvlad_settings &settings);
 
 // Whether an array of these sizes may be in memory, so that the product and its bytes do not overflow.
 inline bool may_be(std::initializer_list<Size> sizes) {

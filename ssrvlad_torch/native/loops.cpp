@@ -67,8 +67,7 @@ void expect(const std::vector<float> &rough, const std::vector<float> &known_rou
 }
 
 // How much likelier a frame is at rows than at a new place, by their nearness.
-void likelihoods(const float *near, Size count, double weight, double level,
-                 const Spread &spread, float *likely) {
+void likelihoods(const float *near, Size count, double weight, double level, const Spread &spread, float *likely) {
   on_cpu([=, &spread](auto) {
     const double least = spread.mean + level * spread.deviation, factor = weight / spread.deviation;
     for (Size i = 0; i < count; ++i)
@@ -529,8 +528,7 @@ class Stream {
       here = same[row];
       if (row >= candidates) continue;
       const double repeats = (static_cast<double>(repeats_.highest()[row]) - spread.mean) *
-                                 (LOOPS.repeat_margin / spread.deviation) -
-                             level;
+                                 (LOOPS.repeat_margin / spread.deviation) - level;
       if (repeats > 0) here *= static_cast<float>(exp_of(-weight * repeats));
       if (is_returning) here = std::max(here, others);
     }

@@ -113,7 +113,8 @@ std::unique_ptr<Scores> Map::compare(const ssrvlad_queries *queries, Size count,
     const auto &channel = channels_[number].channel;
     std::unique_ptr<Scores> scores;
     if (channel) {
-      auto comparison = channel->compare({queries->descriptors, count, queries->anchors}, taken.standardised, steps.sweep, threads);
+      auto comparison = channel->compare({queries->descriptors, count, queries->anchors}, taken.standardised,
+                                         steps.sweep, threads);
       taken.width = std::max(taken.width, comparison->width);
       scores = std::move(comparison);
     } else {
@@ -185,8 +186,10 @@ void track(const Map &map, std::vector<ssrvlad_queries> next, Size count, const 
     if (query < count) {
       tracker.update(next.data(), steps.excluded ? steps.excluded + 2 * query : nullptr, threads);
       ++query;
-      for (Size number = 0; number < map.channels(); ++number)
-        next[number].descriptors = static_cast<const char *>(next[number].descriptors) + map.bytes(number, next[number].anchors);
+      for (Size number = 0; number < map.channels(); ++number) {
+        auto &[descriptors, anchors] = next[number];
+        descriptors = static_cast<const char *>(descriptors) + map.bytes(number, anchors);
+      }
     }
     if (query == count || tracker.waits_long_enough()) give(tracker, answers++, decision, taken);
   }
@@ -207,9 +210,10 @@ Drives drives_of(const ssrvlad_drives *map) {
 
 void check(const ssrvlad_map *map, const ssrvlad_queries *queries, Size count, const ssrvlad_steps *steps,
            const ssrvlad_taken *taken) {
-  require(map && queries && steps && taken && map->channels() && count >= 0, "a map of one channel or more, queries and steps");
-  require(steps->follow >= SSRVLAD_ALONE && steps->follow <= SSRVLAD_OFFLINE && steps->delay >= 0 &&
-          steps->top >= 1, "steps in range");
+  require(map && queries && steps && taken && map->channels() && count >= 0,
+          "a map of one channel or more, queries and steps");
+  require(steps->follow >= SSRVLAD_ALONE && steps->follow <= SSRVLAD_OFFLINE && steps->delay >= 0 && steps->top >= 1,
+          "steps in range");
 }
 
 }  // namespace

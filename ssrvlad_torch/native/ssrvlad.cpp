@@ -20,7 +20,6 @@
 #include <vector>
 
 #include "cpu.hpp"
-#include "fingerprint.hpp"
 #include "interface.hpp"
 #include "parallel.hpp"
 
@@ -135,17 +134,6 @@ Word ballot_of(std::uint8_t category) {
   return category < KINDS ? Word{1} << BALLOT_BITS * category : UNKNOWN_BALLOT;
 }
 
-int winner(Word ballots, const std::array<Word, KINDS> &counted) {
-  int best = 0;
-  Word most = 0;
-  for (int kind = 0; kind < KINDS; ++kind) {
-    const Word votes = counted[kind] +
-                       (ballots >> BALLOT_BITS * kind & MOST_BALLOTS);
-    if (votes > most) most = votes, best = kind;
-  }
-  return best;
-}
-
 // Whether all pixels of a cell have the same id.
 SSRVLAD_INLINE bool alike(const std::uint8_t *ids, Size pitch, Size rows, Size columns) {
   if (columns < 8) return false;  // counting votes is as fast
@@ -169,8 +157,7 @@ SSRVLAD_INLINE bool alike(const Id *ids, Size pitch, Size rows, Size columns) {
 
 // The most common category of a cell, the lowest one in a tie. `seen` is the OR of all ballots.
 template <class Id>
-int cell_winner(const Id *ids, Size pitch, Size rows, Size columns, const Lookup<Word> &lookup,
-                Word &seen) {
+int winner(const Id *ids, Size pitch, Size rows, Size columns, const Lookup<Word> &lookup, Word &seen) {
   if (alike(ids, pitch, rows, columns)) {
     const Word ballot = lookup[as_id(*ids)];
     seen |= ballot;
@@ -178,6 +165,10 @@ int cell_winner(const Id *ids, Size pitch, Size rows, Size columns, const Lookup
   }
   std::array<Word, KINDS> counted{};
   Word ballots = 0;
+  const auto count = [&] {
+    for (int kind = 0; kind < KINDS; ++kind) counted[kind] += ballots >> BALLOT_BITS * kind & MOST_BALLOTS;
+    ballots = 0;
+  };
   Size pending = 0;
   for (Size y = 0; y < rows; ++y, ids += pitch)
     for (Size x = 0; x < columns;) {
@@ -187,12 +178,10 @@ int cell_winner(const Id *ids, Size pitch, Size rows, Size columns, const Lookup
         const Word ballot = lookup[as_id(ids[x])];
         ballots += ballot, seen |= ballot;
       }
-      if (pending < MOST_BALLOTS) continue;
-      for (int kind = 0; kind < KINDS; ++kind)
-        counted[kind] += ballots >> BALLOT_BITS * kind & MOST_BALLOTS;
-      ballots = 0, pending = 0;
+      if (pending == MOST_BALLOTS) count(), pending = 0;
     }
-  return winner(ballots, counted);
+  count();
+  return static_cast<int>(std::max_element(counted.begin(), counted.end()) - counted.begin());
 }
 
 // Where each cell of a line begins, and the last ends: pixel i is in cell i * cells / pixels.
@@ -202,23 +191,24 @@ std::vector<Size> cell_bounds(Size pixels, Size cells) {
   return bounds;
 }
 
-// Computes the category of every cell. False if an id is unknown.
+// The layers of an image that is reduced to a grid, as planes of bits. False if an id is unknown.
 template <class Id>
-bool vote(const Id *ids, Size height, Size width, const Lookup<Word> &lookup, Size rows,
-          Size columns, std::uint8_t *categories) {
+bool vote(const Id *ids, Size height, Size width, const Lookup<Word> &lookup, const Grid &grid, Word *planes) {
   Word seen = 0;
-  const std::vector<Size> tops = cell_bounds(height, rows), lefts = cell_bounds(width, columns);
-  for (std::size_t row = 0; row + 1 < tops.size(); ++row)
-    for (std::size_t column = 0; column + 1 < lefts.size(); ++column) {
+  std::fill_n(planes, LAYERS * grid.words(), 0);
+  const std::vector<Size> tops = cell_bounds(height, grid.height), lefts = cell_bounds(width, grid.width);
+  for (Size row = 0; row < grid.height; ++row)
+    for (Size column = 0; column < grid.width; ++column) {
       const Size top = tops[row], left = lefts[column];
-      *categories++ = static_cast<std::uint8_t>(
-          cell_winner(ids + top * width + left, width, tops[row + 1] - top,
-                      lefts[column + 1] - left, lookup, seen));
+      const int category = winner(ids + top * width + left, width, tops[row + 1] - top, lefts[column + 1] - left,
+                                  lookup, seen);
+      if (category < LAYERS)
+        planes[category * grid.words() + row * grid.pitch + column / 64] |= Word{1} << column % 64;
     }
   return !(seen & UNKNOWN_BALLOT);
 }
 
-// The layers as planes of bits. A lookup entry is the bit of its layer, or bit 8 for unknown.
+// The layers of an image as it is. A lookup entry is the bit of its layer, or bit 8 for unknown.
 constexpr std::uint16_t UNKNOWN_LAYER = 256;
 
 std::uint16_t layer_of(std::uint8_t category) {
@@ -297,12 +287,8 @@ void dilate(Word *plane, const Grid &grid, Size radius, Words &larger) {
       if (bits) moved[i + 1] |= row[i] >> (64 - bits);
     }
   }
-  by_doubling(radius, [&](Size step) {
-    or_later(larger.data(), total, step / 64, static_cast<int>(step % 64));
-  });
-  by_doubling(radius, [&](Size step) {
-    or_later(larger.data(), total - step * pitch, step * pitch, 0);
-  });
+  by_doubling(radius, [&](Size step) { or_later(larger.data(), total, step / 64, static_cast<int>(step % 64)); });
+  by_doubling(radius, [&](Size step) { or_later(larger.data(), total - step * pitch, step * pitch, 0); });
   for (Size y = 0; y < grid.height; ++y)
     for (Size i = 0; i < grid.pitch; ++i)
       plane[y * grid.pitch + i] = larger[y * pitch + i] & grid.inside(i);
@@ -449,32 +435,17 @@ struct Tiles {
   }
 };
 
-// Eight rows of a word <-> eight tiles: transposes a square of 8 x 8 bytes; it is its own inverse.
-void transpose_bytes(Word square[8]) {
-  for (int step = 4; step; step /= 2) {
-    const int bits = 8 * step;
-    const Word low = step == 4 ? 0x00000000ffffffff
-                               : step == 2 ? 0x0000ffff0000ffff : 0x00ff00ff00ff00ff;
-    for (int i = 0; i < 8; ++i) {
-      if (i & step) continue;
-      const Word swap = (square[i] >> bits ^ square[i + step]) & low;
-      square[i + step] ^= swap, square[i] ^= swap << bits;
-    }
-  }
-}
-
 void to_tiles(const Word *plane, const Grid &grid, Tiles &tiles) {
   tiles.rows = (grid.height + 7) / 8, tiles.columns = (grid.width + 7) / 8, tiles.pitch = tiles.columns + 1;
   tiles.words.assign((tiles.rows + 2) * tiles.pitch + 2, 0);
   for (Size row = 0; row < tiles.rows; ++row)
     for (Size i = 0; i < grid.pitch; ++i) {
-      Word square[8] = {}, seen = 0;
-      const Size lines = std::min<Size>(8, grid.height - 8 * row);
-      for (Size y = 0; y < lines; ++y) seen |= square[y] = plane[(8 * row + y) * grid.pitch + i];
-      if (!seen) continue;
-      transpose_bytes(square);
+      Word *tile = &tiles.words[tiles.first(row) + 8 * i];
       const Size count = std::min<Size>(8, tiles.columns - 8 * i);
-      std::copy(square, square + count, &tiles.words[tiles.first(row) + 8 * i]);
+      for (Size y = 0; y < std::min<Size>(8, grid.height - 8 * row); ++y) {
+        const Word line = plane[(8 * row + y) * grid.pitch + i];
+        for (Size x = 0; line && x < count; ++x) tile[x] |= (line >> 8 * x & 255) << 8 * y;
+      }
     }
 }
 
@@ -614,10 +585,10 @@ class Thinning {
     if (!tiles.words[place]) return;
     const unsigned missing = 3u & ~waiting_[place];
     waiting_[place] = 3;
-    due_[0].places[due_[0].count] = static_cast<std::uint32_t>(place);
-    due_[0].count += missing & 1;
-    due_[1].places[due_[1].count] = static_cast<std::uint32_t>(place);
-    due_[1].count += missing >> 1;
+    for (const int kind : {0, 1}) {
+      due_[kind].places[due_[kind].count] = static_cast<std::uint32_t>(place);
+      due_[kind].count += missing >> kind & 1;
+    }
   }
 
   void look_at(const Tiles &tiles, Size from, int thinning, bool first) {
@@ -630,20 +601,12 @@ class Thinning {
 
   void take(Tiles &tiles, Size place, Word gone) {
     tiles.words[place] &= ~gone;
-    const Size above = place - tiles.pitch, below = place + tiles.pitch;
-    call(tiles, place);
-    if (gone & TOP) call(tiles, above);
-    if (gone & BOTTOM) call(tiles, below);
-    if (gone & LEFT) {
-      call(tiles, place - 1);
-      if (gone & LEFT & TOP) call(tiles, above - 1);
-      if (gone & LEFT & BOTTOM) call(tiles, below - 1);
-    }
-    if (gone & RIGHT) {
-      call(tiles, place + 1);
-      if (gone & RIGHT & TOP) call(tiles, above + 1);
-      if (gone & RIGHT & BOTTOM) call(tiles, below + 1);
-    }
+    const Size down = tiles.pitch;
+    const std::pair<Word, Size> beside[] = {
+        {ALL, 0},   {TOP, -down},           {BOTTOM, down},          {LEFT, -1},
+        {RIGHT, 1}, {TOP & LEFT, -down - 1}, {TOP & RIGHT, 1 - down}, {BOTTOM & LEFT, down - 1}, {BOTTOM & RIGHT, down + 1}};
+    for (const auto &[edge, step] : beside)
+      if (gone & edge) call(tiles, place + step);
   }
 
   Places due_[2], now_;
@@ -729,8 +692,7 @@ struct Bins {
         if (squared == 0 || squared > limits.back()) continue;
         int ring = 0;
         while (squared > limits[ring]) ++ring;
-        table[centre + dy * pitch + dx] =
-            static_cast<std::uint16_t>(ring * sectors + sector_of(dy, dx, sectors));
+        table[centre + dy * pitch + dx] = static_cast<std::uint16_t>(ring * sectors + sector_of(dy, dx, sectors));
       }
   }
 
@@ -745,10 +707,8 @@ struct Bins {
 
 // Adds the number of context points in each bin around a reference point. Two counts per bin, to be
 // summed later, are faster: successive points are often in the same bin.
-void shape_context(Point reference, const std::vector<Point> &context, const Bins &bins,
-                   std::vector<Size> &counts) {
-  const std::uint16_t *table =
-      bins.table.data() + bins.centre - reference.y * bins.pitch - reference.x;
+void shape_context(Point reference, const std::vector<Point> &context, const Bins &bins, std::vector<Size> &counts) {
+  const std::uint16_t *table = bins.table.data() + bins.centre - reference.y * bins.pitch - reference.x;
   const auto bin = [&](std::size_t i) {
     return std::size_t{table[context[i].y * bins.pitch + context[i].x]};
   };
@@ -799,8 +759,7 @@ bool pool(const Word *plane, const Grid &grid, Size shift, Cells &cells) {
   std::array<Size, CELL_COLUMNS + 1> bounds;
   const Size units = grid.width * CELL_COLUMNS;
   for (Size c = 0; c <= CELL_COLUMNS; ++c)
-    bounds[c] =
-        std::max<Size>(0, std::min(units, c * grid.width + shift * CELL_COLUMNS));
+    bounds[c] = std::max<Size>(0, std::min(units, c * grid.width + shift * CELL_COLUMNS));
   bool seen = false;
   for (Size y = 0; y < grid.height; ++y, plane += grid.pitch) {
     if (!any(plane, grid.pitch)) continue;
@@ -886,9 +845,7 @@ struct SoftBins {
         const double x = (j + 0.5) / SAMPLES - CELL_COLUMNS / 2.0;
         const double distance = std::hypot(y, x) / std::hypot(CELL_ROWS, CELL_COLUMNS);
         if (distance > s.radius) continue;
-        const double steps = s.inner_radius < 1
-                                 ? std::log(distance / s.radius) / std::log(1 / s.inner_radius)
-                                 : -1;
+        const double steps = s.inner_radius < 1 ? std::log(distance / s.radius) / std::log(1 / s.inner_radius) : -1;
         const double ring = std::max(0.0, std::min<double>(s.rings - 1, (s.rings - 1) * (1 + steps)));
         const double turn = std::atan2(y, x) / (2 * PI);
         const double sector = (turn - std::floor(turn)) * s.sectors;
@@ -898,8 +855,7 @@ struct SoftBins {
             const double in_ring = std::max(0.0, 1 - std::abs(ring - n));
             const double in_sector = std::max(0.0, 1 - apart) + std::max(0.0, 1 - (s.sectors - apart));
             const int cell = i / SAMPLES * CELL_COLUMNS + j / SAMPLES;
-            weights[n * s.sectors + m][cell] +=
-                in_ring * in_sector;
+            weights[n * s.sectors + m][cell] += in_ring * in_sector;
           }
       }
     for (std::size_t bin = 0; bin < total; ++bin) {
@@ -963,7 +919,6 @@ Size area_pixels(double fraction, const Grid &grid) {
 
 // The working memory of one thread.
 struct Scratch {
-  std::vector<std::uint8_t> categories;
   Words layers, clean, boundaries, buffer;
   Regions regions;
   Tiles tiles, keypoints, crossings;
@@ -982,24 +937,6 @@ auto with_ids(const ssrvlad_labels &labels, Visit visit) {
     case 4: return visit(static_cast<const std::int32_t *>(labels.ids));
     default: return visit(static_cast<const std::int64_t *>(labels.ids));
   }
-}
-
-// Computes the layers of an image on its working grid. False if an id is unknown.
-template <class Id>
-bool read_layers(Scratch &s, const Id *ids, const ssrvlad_labels &labels, const Grid &grid,
-                 const Lookup<Word> &ballots, const Lookup<std::uint16_t> &layers) {
-  s.layers.resize(LAYERS * grid.words());
-  if (grid.height == labels.height && grid.width == labels.width)
-    return split(ids, grid, layers, s.layers.data());
-  s.categories.resize(grid.height * grid.width);
-  if (!vote(ids, labels.height, labels.width, ballots, grid.height, grid.width,
-            s.categories.data()))
-    return false;
-  static const Lookup<std::uint16_t> of_categories = [] {
-    const std::uint8_t categories[KINDS] = {0, 1, 2, 3, 4, 5, 6, 7, SSRVLAD_NO_LAYER};
-    return Lookup<std::uint16_t>({categories, KINDS, 0}, layer_of);
-  }();
-  return split(s.categories.data(), grid, of_categories, s.layers.data());
 }
 
 // Settings, with their tables and the working memory of threads.
@@ -1023,12 +960,16 @@ class Head {
     const Lookup<std::uint16_t> layers(table, layer_of);
     const Grid grid = this->grid(labels.height, labels.width);
     const Size size = labels.height * labels.width;
+    const bool is_whole = grid.height == labels.height && grid.width == labels.width;
     std::atomic<bool> all_known{true};
     return with_ids(labels, [&](const auto *ids) {
       in_parallel(labels.images, threads, [&](std::atomic<Size> &next) {
         auto scratch = take_scratch();
         for (Size i; all_known && (i = next++) < labels.images;) {
-          if (read_layers(*scratch, ids + i * size, labels, grid, ballots, layers))
+          scratch->layers.resize(LAYERS * grid.words());
+          Word *planes = scratch->layers.data();
+          if (is_whole ? split(ids + i * size, grid, layers, planes)
+                       : vote(ids + i * size, labels.height, labels.width, ballots, grid, planes))
             describe(*scratch, grid, descriptors + i * length());
           else all_known = false;
         }
@@ -1159,8 +1100,7 @@ class Head {
     const std::lock_guard<places::Mutex> hold(mutex);
     for (const auto &bins : known_bins)
       if (bins->height == grid.height && bins->width == grid.width) return bins;
-    known_bins.push_front(
-        std::make_shared<Bins>(grid.height, grid.width, ring_limits(grid), settings.sectors));
+    known_bins.push_front(std::make_shared<Bins>(grid.height, grid.width, ring_limits(grid), settings.sectors));
     if (known_bins.size() > KEPT) known_bins.pop_back();
     return known_bins.front();
   }
