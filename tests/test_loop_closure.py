@@ -1,4 +1,4 @@
-"""The loop detector: its rules by hand; saving and loading."""
+"""The loop detector: its rules by hand; saving and loading; where a stream breaks."""
 
 import math
 import threading
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from helpers import refuses, street
-from loop_streams import LIGHT, PLACES, drawn_anew, noisy_stream, unit, views  # noqa: F401, a fixture
+from loop_streams import LIGHT, PLACES, RNG, drawn_anew, noisy_stream, unit, views  # noqa: F401
 
 from ssrvlad_torch import SSRVLAD, Database
 from ssrvlad_torch.database.frames import FrameRecord
@@ -316,3 +316,87 @@ def test_the_second_time_round_a_block_closes_loops_and_only_right_ones():
     score = score_loops(rows, poses, LoopConfig.exclude, metres=10.0)
     assert score.precision == 1
     assert score.revisits > 80 and score.recall > 0.2
+
+
+# ---- where a stream breaks, and what is recognised across
+
+HOUR = 3600.0
+BETWEEN = PLACES + np.roll(PLACES, -1, axis=0)
+"""Descriptors of places, each half like the next."""
+
+
+def views_between(places, noise=0.002, light=0.0):
+    vectors = BETWEEN[np.asarray(places)] + light
+    return unit(vectors + RNG.normal(0, noise, vectors.shape))
+
+
+def night_after(frames, step, pause, name="day"):
+    """The results of a night, three frames a second, after some frames of a day and a pause."""
+    loops = detector()
+    for row, vector in enumerate(views_between(range(150))[:frames]):
+        loops.update(vector, f"day/{row}", row * step)
+    later = (frames - 1) * step + pause
+    night = views_between(range(40, 120), 0.02, LIGHT)
+    return [loops.update(v, f"{name}/{frames + n}", later + n / 3) for n, v in enumerate(night)]
+
+
+@pytest.mark.parametrize(
+    ("frames", "step", "pause", "breaks"),
+    [
+        (150, 1 / 3, 700.0, True),
+        (150, 1 / 3, 500.0, False),  # the light is still the same
+        (19, 1 / 3, HOUR, False),  # too few frames to know what is usual
+        (150, 0.3 * HOUR, HOUR, False),  # a frame in twenty minutes
+        (150, math.nan, HOUR, False),
+    ],
+)
+def test_a_gap_is_long_for_light_and_for_the_stream(frames, step, pause, breaks):
+    """Where a stream breaks, what comes is as of another sequence."""
+    day, night = (
+        [(r.reason, r.candidate, r.confidence) for r in night_after(frames, step, pause, name)]
+        for name in ("day", "night")
+    )
+    assert (day == night) == breaks
+
+
+def test_after_a_gap_another_light_closes_loops_and_without_one_none():
+    assert len(accepted(night_after(150, 1 / 3, HOUR))) > 50
+    assert not accepted(night_after(150, 1 / 3, 1.3))
+
+
+@pytest.mark.parametrize("stop", [149, 150, 151, 200])
+def test_a_stream_that_was_saved_goes_on_as_one_that_was_not(database, stop):
+    """Just before a gap, at it, just after it, and later."""
+    vectors = np.concatenate(
+        (views_between(range(150)), views_between(range(40, 120), 0.02, LIGHT))
+    )
+    stamps = np.concatenate((np.arange(150) / 3, HOUR + np.arange(80) / 3))
+
+    def go(loops, rows):
+        return [loops.update(vectors[n], f"drive/{n}", stamps[n]) for n in rows]
+
+    expected, stopped = go(detector(sweep=False), range(230)), detector(sweep=False)
+    results = go(stopped, range(stop))
+    stopped.save(database)
+    results += go(reloaded(stopped, database), range(stop, 230))
+    for result, whole in zip(results, expected, strict=True):
+        assert (result.reason, result.candidate) == (whole.reason, whole.candidate)
+        assert (result.confidence or 0) == pytest.approx(whole.confidence or 0, abs=0.01)
+    assert len(accepted(results)) > 50
+
+
+def alike(start, styles, strength=0.8, light=0.0):
+    """Descriptors of new places, which are like those of the same style, but less than a frame is
+    like the next."""
+    vectors = BETWEEN[start : start + len(styles)] + strength * BETWEEN[styles]
+    noise = RNG.normal(0, 0.3 / 22, vectors.shape)
+    return unit(unit(vectors + light) + noise)
+
+
+def test_places_no_more_alike_than_those_of_the_stream_close_no_loop():
+    """A street of two parts that are alike, and a third; by another name, a street like the third;
+    and last the third itself, in another light."""
+    first, third, loops = np.arange(300, 380), np.arange(380, 460), detector()
+    show(loops, [*alike(0, first), *alike(80, first), *alike(160, third)], "first")
+    assert not accepted(show(loops, alike(240, third[:60], 0.6), "second"))
+    assert len(accepted(show(loops, alike(160, third, light=0.2 * LIGHT), "third"))) > 50

@@ -48,45 +48,33 @@ void mask(const Listing &listing, const std::uint8_t *allowed, const Size *exclu
     std::fill(scores + listing.rows.from(excluded[0]), scores + listing.rows.from(excluded[1]), NONE);
 }
 
-Fusion::Fusion(std::vector<std::vector<float>> scores, const Listing &listing) : listing_(listing) {
-  for (std::vector<float> &member : scores) {
-    const auto count = static_cast<Size>(member.size());
-    nearness(member.data(), count, member.data());
-    Spread spread = listing.spread(member.data());
-    if (spread.deviation <= MIN_SPREAD) spread = plain_spread(member.data(), count);
-    members_.push_back({std::move(member), spread});
+Fusion::Fusion(std::vector<std::vector<float>> scores, const Listing &listing)
+    : near_(std::move(scores)), listing_(listing) {
+  for (std::vector<float> &near : near_) {
+    const auto count = static_cast<Size>(near.size());
+    nearness(near.data(), count, near.data());
+    spreads_.push_back(listing.spread(near.data()));
+    if (spreads_.back().deviation <= MIN_SPREAD) spreads_.back() = plain_spread(near.data(), count);
   }
 }
 
 std::vector<double> Fusion::leads() const {
-  std::vector<double> leads;
-  for (const Member &member : members_) {
-    leads.push_back(0);
-    const Size rows = listing_.count();
-    if (rows <= 2 * MODEL.elsewhere + 1) continue;
-    std::vector<double> z(member.near.size());
-    add_scaled(member.near.data(), rows, member.spread.mean, 1 / member.unit(), z.data());
+  std::vector<double> leads(near_.size());
+  const Size rows = listing_.count();
+  for (std::size_t number = 0; number < leads.size() && rows > 2 * MODEL.elsewhere + 1; ++number) {
+    const auto [mean, deviation] = spreads_[number];
+    std::vector<double> z(rows);
+    add_scaled(near_[number].data(), rows, mean, 1 / std::max(deviation, MIN_SPREAD), z.data());
     const auto [best, other] =
         leading(z.data(), rows, [&](Size row) { return listing_.around(row, MODEL.elsewhere); });
-    leads.back() = best - other;
+    leads[number] = best - other;
   }
   return leads;
 }
 
 void Fusion::of(const std::vector<double> &weights, float *scores) const {
-  const Size rows = listing_.count();
-  std::vector<double> z(rows);
-  std::fill_n(scores, rows, NONE);
-  double mean = 0, deviation = 0;
-  for (std::size_t number = 0; number < members_.size(); ++number) {
-    const Member &member = members_[number];
-    add_scaled(member.near.data(), rows, member.spread.mean, weights[number] / member.unit(), z.data());
-    for (Size row = 0; row < rows; ++row)  // a NaN stays one
-      scores[row] = std::max(member.near[row], scores[row]);
-    mean += weights[number] * member.spread.mean;
-    deviation += weights[number] * member.spread.deviation;
-  }
-  as_cosines(z.data(), rows, mean, deviation, scores);
+  std::vector<double> z;
+  fuse(near_, spreads_, weights, z, scores);
 }
 
 Fused::Fused(std::vector<std::unique_ptr<Scores>> members, const std::vector<double> &trust, const Listing &listing)

@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "archive.hpp"
-#include "filter.hpp"
-#include "scores.hpp"
+#include "decide.hpp"
+#include "ssrvlad_map.h"
 
 namespace places {
 
@@ -47,13 +47,6 @@ class Comparison : public Scores {
   mutable std::vector<float> block_;
 };
 
-// The descriptors of queries of one drive, each from several anchors with the usual one in the middle:
-// (count, anchors, ...).
-struct Queries {
-  const void *descriptors;
-  Size count, anchors;
-};
-
 // A sequence of which the queries come one by one, by one channel: each is compared without the mean of those
 // so far, itself among them, and of `before` frames like the mean of the map. It must not outlive its channel.
 class LiveComparison {
@@ -70,10 +63,10 @@ class LiveComparison {
 class Channel {
  public:
   virtual ~Channel() = default;
-  // Compares queries, without the mean of each drive if standardised, from the anchors that suit or moved
+  // Compares so many queries, without the mean of each drive if standardised, from the anchors that suit or moved
   // to both sides if swept. The channel must outlive the comparison; the queries need not.
-  virtual std::unique_ptr<Comparison> compare(const Queries &queries, bool standardised, bool swept,
-                                              int threads) = 0;
+  virtual std::unique_ptr<Comparison> compare(const ssrvlad_queries &queries, Size count, bool standardised,
+                                              bool swept, int threads) = 0;
   // The same for queries that come one by one, from so many anchors.
   virtual std::unique_ptr<LiveComparison> live(Size anchors, bool standardised, bool swept, int threads) = 0;
 };
@@ -122,14 +115,8 @@ class Fusion {
   void of(const std::vector<double> &weights, float *scores) const;
 
  private:
-  struct Member {
-    std::vector<float> near;  // NONE where there is none
-    Spread spread;            // of the rows that have one
-
-    double unit() const { return std::max(spread.deviation, MIN_SPREAD); }
-  };
-
-  std::vector<Member> members_;
+  std::vector<std::vector<float>> near_;  // NONE where there is none
+  std::vector<Spread> spreads_;           // of the rows that have one
   const Listing &listing_;
 };
 

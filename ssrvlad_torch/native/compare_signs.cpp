@@ -211,11 +211,12 @@ class SignChannel : public Channel {
     signs_ = packed_.data();
   }
 
-  std::unique_ptr<Comparison> compare(const Queries &queries, bool standardised, bool swept, int threads) override {
-    Words words = packed(static_cast<const std::uint8_t *>(queries.descriptors), queries.count, grid_);
+  std::unique_ptr<Comparison> compare(const ssrvlad_queries &queries, Size count, bool standardised, bool swept,
+                                      int threads) override {
+    Words words = packed(static_cast<const std::uint8_t *>(queries.descriptors), count, grid_);
     SignMean mean;
-    if (standardised) mean = SignMean::of(words.data(), queries.count, grid_);
-    return std::make_unique<SignComparison>(std::move(words), queries.count, rows(standardised, swept, threads), mean,
+    if (standardised) mean = SignMean::of(words.data(), count, grid_);
+    return std::make_unique<SignComparison>(std::move(words), count, rows(standardised, swept, threads), mean,
                                             threads);
   }
 

@@ -320,21 +320,22 @@ class VectorChannel : public Channel {
   VectorChannel(const float *rows, Size length, const Listing &listing, const float *means)
       : vectors_(rows), length_(length), listing_(listing), drives_(listing.drives), means_(means) {}
 
-  std::unique_ptr<Comparison> compare(const Queries &queries, bool standardised, bool swept, int threads) override {
+  std::unique_ptr<Comparison> compare(const ssrvlad_queries &queries, Size count, bool standardised, bool swept,
+                                      int threads) override {
     const VectorRows &rows = this->rows(standardised, threads);
     Size width = swept ? queries.anchors / 2 : 0;
-    Floats units = anchors_of(queries, width);
+    Floats units = anchors_of(queries, count, width);
     if (width) {
-      width = narrowed(units, queries.count, queries.anchors, rows, listing_, standardised, threads);
-      units = anchors_of(queries, width);
+      width = narrowed(units, count, queries.anchors, rows, listing_, standardised, threads);
+      units = anchors_of(queries, count, width);
     }
-    if (standardised && queries.count >= MODEL.min_frames) {
-      const Floats mean = mean_of(units.data(), queries.count * (2 * width + 1), length_);
+    if (standardised && count >= MODEL.min_frames) {
+      const Floats mean = mean_of(units.data(), count * (2 * width + 1), length_);
       for (float *vector = units.data(); vector < units.data() + units.size(); vector += length_)
         standardise(vector, mean.data(), length_, vector);
     }
     auto comparison =
-        std::make_unique<VectorComparison>(std::move(units), queries.count, 2 * width + 1, rows, threads);
+        std::make_unique<VectorComparison>(std::move(units), count, 2 * width + 1, rows, threads);
     comparison->width = width;
     return comparison;
   }
@@ -347,11 +348,11 @@ class VectorChannel : public Channel {
 
  private:
   // The vectors of the anchors up to a width, at length 1.
-  Floats anchors_of(const Queries &queries, Size width) const {
+  Floats anchors_of(const ssrvlad_queries &queries, Size count, Size width) const {
     const auto *vectors = static_cast<const float *>(queries.descriptors);
-    Floats units(queries.count * (2 * width + 1) * length_);
+    Floats units(count * (2 * width + 1) * length_);
     float *unit = units.data();
-    for (Size query = 0; query < queries.count; ++query)
+    for (Size query = 0; query < count; ++query)
       for (Size side = -width; side <= width; ++side, unit += length_)
         normalise(vectors + (query * queries.anchors + queries.anchors / 2 + side) * length_, length_, unit);
     return units;

@@ -14,11 +14,20 @@
 #include "confidence.hpp"
 #include "filter.hpp"
 #include "progress.hpp"
-#include "scores.hpp"
 
 namespace places {
 
 constexpr double HIGHEST_SCORE = 1.001;  // that rounding can give
+
+// The scores of the queries of one drive against all rows of a map.
+class Scores {
+ public:
+  virtual ~Scores() = default;
+  virtual Size queries() const = 0;
+  virtual Size rows() const = 0;
+  // Fills `rows()` numbers of at most 1, as cosines are; NONE where there can be no match.
+  virtual void of(Size query, float *scores) const = 0;
+};
 
 // How queries run a map: the way, the rate of `Motion`, and as how many streams whose frames alternate.
 struct Course {

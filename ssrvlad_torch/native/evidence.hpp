@@ -13,7 +13,6 @@
 #include "decide.hpp"
 #include "filter.hpp"
 #include "progress.hpp"
-#include "scores.hpp"
 
 namespace places {
 

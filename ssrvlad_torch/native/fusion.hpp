@@ -31,10 +31,22 @@ inline void add_scaled(const float *near, Size count, double mean, double factor
   });
 }
 
-// Replaces scores by cosines of nearness, where there are some.
-inline void as_cosines(const double *z, Size count, double mean, double deviation, float *scores) {
-  on_cpu([=](auto) {
-    for (Size row = 0; row < count; ++row) {
+// Fills the weighted mean of z-scores of nearness by several channels, as cosines; NONE where no channel has a score.
+inline void fuse(const std::vector<std::vector<float>> &near, const std::vector<Spread> &spreads,
+                 const std::vector<double> &weights, std::vector<double> &z, float *scores) {
+  const auto rows = static_cast<Size>(near.front().size());
+  z.assign(rows, 0);
+  std::fill_n(scores, rows, NONE);
+  double mean = 0, deviation = 0;
+  for (std::size_t number = 0; number < near.size(); ++number) {
+    const Spread &spread = spreads[number];
+    add_scaled(near[number].data(), rows, spread.mean, weights[number] / std::max(spread.deviation, MIN_SPREAD), z.data());
+    for (Size row = 0; row < rows; ++row) scores[row] = std::max(near[number][row], scores[row]);  // a NaN stays one
+    mean += weights[number] * spread.mean;
+    deviation += weights[number] * spread.deviation;
+  }
+  on_cpu([=, z = z.data()](auto) {
+    for (Size row = 0; row < rows; ++row) {
       const float cosine = static_cast<float>(1 - exp_of(-(mean + deviation * z[row])));
       scores[row] = scores[row] == NONE ? NONE : cosine;
     }

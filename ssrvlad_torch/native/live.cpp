@@ -115,7 +115,7 @@ class LiveVectors : public LiveChannel {
         before_(length) {}
 
   Size bytes() const override { return length_ * static_cast<Size>(sizeof(float)); }
-  Size rows() const override { return rows_.rows(); }
+  Size rows() const { return rows_.rows(); }
 
   bool empty(const void *descriptor) const override {
     const auto *vector = static_cast<const float *>(descriptor);
@@ -548,7 +548,6 @@ class LiveSigns : public LiveChannel {
               PART_DIGITS) {}
 
   Size bytes() const override { return size_; }
-  Size rows() const override { return signs_.rows(); }
   bool empty(const void *descriptor) const override {
     const auto *signs = static_cast<const std::uint8_t *>(descriptor);
     return std::all_of(signs, signs + size_, [](std::uint8_t byte) { return byte == 0; });

@@ -22,7 +22,6 @@ class LiveChannel {
   virtual ~LiveChannel() = default;
 
   virtual Size bytes() const = 0;  // of a descriptor
-  virtual Size rows() const = 0;
   virtual bool empty(const void *descriptor) const = 0;
   // Whether descriptors from some anchors can be those of a frame.
   virtual bool fits(const void *swept, Size anchors) const = 0;

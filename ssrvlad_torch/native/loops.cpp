@@ -409,7 +409,7 @@ class Stream {
     auto &z = of_rows_.z;
     auto &chosen = of_rows_.chosen;
     scores.resize(rows());
-    fused.assign(scores.size(), NONE);
+    fused.resize(scores.size());
     chosen.clear();
     std::vector<Spread> spreads;
     const Size counted = old ? old : rows();
@@ -434,21 +434,10 @@ class Stream {
       if (is_rough && channels_[number]->has_part()) {
         usual(rough[number], counted, rough_usual);
         expect(rough[number], rough_usual, usual_near, near[number]);
-        scores = rough[number];  // of every row
       }
       leads_[number] += std::max(0.0, lead(near[number].data(), old, spreads.back()));
-      for (std::size_t row = 0; row < fused.size(); ++row) fused[row] = std::max(fused[row], scores[row]);
     }
-    z.assign(scores.size(), 0);
-    double mean = 0, deviation = 0;
-    const std::vector<double> weight = weights();
-    for (std::size_t number = 0; number < channels_.size(); ++number) {
-      const auto [usual_mean, spread] = spreads[number];
-      add_scaled(near[number].data(), rows(), usual_mean, weight[number] / std::max(spread, MIN_SPREAD), z.data());
-      mean += weight[number] * usual_mean;
-      deviation += weight[number] * spread;
-    }
-    as_cosines(z.data(), rows(), mean, deviation, fused.data());
+    fuse(near, spreads, weights(), z, fused.data());
     return fused;
   }
 

@@ -105,9 +105,8 @@ class Loops:
         self._library, self.channels = required(), tuple(channels)
         described = (struct("loops_channel") * len(channels))(*map(_described, channels))
         settings = struct("loops_settings")(min(exclude, _MAX_INT64), threshold, scan_above)
-        handle = self._library.ssrvlad_loops_new_for(
-            number("INTERFACE"), settings, described, len(channels)
-        )
+        new = self._library.ssrvlad_loops_new_for
+        handle = new(number("INTERFACE"), settings, described, len(channels))
         if not handle:
             raise RuntimeError(last_error())
         self._handle = ctypes.c_void_p(handle)
@@ -148,17 +147,9 @@ class Loops:
             anchors.append(max(1, array.size // math.prod(channel.shape)))
             arrays.append(array.reshape(-1, *array.shape[-len(channel.shape) :]))
         result = struct("loop")()
-        require(
-            self._library.ssrvlad_loops_update(
-                self._handle,
-                self._addresses(arrays, anchors),
-                (ctypes.c_int64 * len(anchors))(*anchors),
-                stamp,
-                bool(starts),
-                threads,
-                result,
-            )
-        )
+        passed = self._addresses(arrays, anchors), (ctypes.c_int64 * len(anchors))(*anchors)
+        update = self._library.ssrvlad_loops_update
+        require(update(self._handle, *passed, stamp, bool(starts), threads, result))
         return _step_of(result)
 
     def extend(self, descriptors: Mapping[str, Array], stamps: Array | None, starts: Array) -> None:
@@ -176,27 +167,17 @@ class Loops:
         times = None if stamps is None else np.ascontiguousarray(stamps, np.float64)
         frames = len(first)
         arrays = [np.ascontiguousarray(descriptors[channel.name]) for channel in self.channels]
-        require(
-            self._library.ssrvlad_loops_extend(
-                self._handle,
-                self._addresses(arrays, [frames] * len(arrays)),
-                address(times, (frames,), "float64"),
-                address(first, (frames,), "uint8"),
-                frames,
-            )
-        )
+        addresses = self._addresses(arrays, [frames] * len(arrays))
+        when = address(times, (frames,), "float64"), address(first, (frames,), "uint8")
+        require(self._library.ssrvlad_loops_extend(self._handle, addresses, *when, frames))
 
     def descriptors(self, name: str, first: int, last: int) -> Array:
         """``(last - first, *shape)``, a copy, by the channel with a name."""
         index = [channel.name for channel in self.channels].index(name)
         channel = self.channels[index]
-        shape = last - first, *channel.shape
-        rows = np.empty(shape, channel.dtype)
-        require(
-            self._library.ssrvlad_loops_descriptors(
-                self._handle, index, first, last, address(rows, shape, channel.dtype)
-            )
-        )
+        rows = np.empty((last - first, *channel.shape), channel.dtype)
+        copy = self._library.ssrvlad_loops_descriptors
+        require(copy(self._handle, index, first, last, rows.ctypes.data))
         return rows
 
     def _addresses(self, arrays: Sequence[Array], counts: Sequence[int]) -> Any:
@@ -220,7 +201,5 @@ def _step_of(loop: Any) -> LoopStep:
 
 
 def _described(channel: Channel) -> Any:
-    shape = (*channel.shape, 1, 1)[:3]
-    return struct("loops_channel")(
-        channel.dtype == "uint8", (ctypes.c_int64 * 3)(*shape), channel.trust
-    )
+    shape = (ctypes.c_int64 * 3)(*(*channel.shape, 1, 1)[:3])
+    return struct("loops_channel")(channel.dtype == "uint8", shape, channel.trust)

@@ -113,8 +113,7 @@ std::unique_ptr<Scores> Map::compare(const ssrvlad_queries *queries, Size count,
     const auto &channel = channels_[number].channel;
     std::unique_ptr<Scores> scores;
     if (channel) {
-      auto comparison = channel->compare({queries->descriptors, count, queries->anchors}, taken.standardised,
-                                         steps.sweep, threads);
+      auto comparison = channel->compare(*queries, count, taken.standardised, steps.sweep, threads);
       taken.width = std::max(taken.width, comparison->width);
       scores = std::move(comparison);
     } else {

@@ -4,8 +4,6 @@
 #define SSRVLAD_MAP_HPP
 
 #include "compare.hpp"
-#include "decide.hpp"
-#include "ssrvlad_map.h"
 
 namespace places {
 

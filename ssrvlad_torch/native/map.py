@@ -115,27 +115,20 @@ class DescriptorMap:
     def __init__(self, frames: Sequence[int], shortlist: Shortlist | None = None) -> None:
         core, interface = required(), number("INTERFACE")
         starts = np.cumsum([0, *frames], dtype=np.int64)
-        self.frames, self._count = int(starts[-1]), int(starts[-1])
-        self._means = len(frames)
-        first = address(starts, (len(frames) + 1,), "int64")
-        drives = struct("drives")(first, len(frames), self.frames)
+        self.frames, self._count, self._means = int(starts[-1]), int(starts[-1]), len(frames)
+        drives = struct("drives")(starts.ctypes.data, len(frames), self.frames)
         if shortlist is None:
-            self._map = core.ssrvlad_map_new_for(interface, ctypes.byref(drives))
+            self._map = core.ssrvlad_map_new_for(interface, drives)
         else:
             rows = np.ascontiguousarray(shortlist.rows, np.int64)
             means = np.ascontiguousarray(shortlist.means, np.int64)
             weights = np.ascontiguousarray(shortlist.weights, np.float64)
             self._count, self._means = len(rows), len(means)
+            first = address(weights, rows.shape, "float64")
             listed = struct("shortlist")(
-                address(rows, (self._count,), "int64"),
-                address(weights, (self._count,), "float64"),
-                self._count,
-                address(means, (self._means,), "int64"),
-                self._means,
+                rows.ctypes.data, first, self._count, means.ctypes.data, self._means
             )
-            self._map = core.ssrvlad_map_of_for(
-                interface, ctypes.byref(drives), ctypes.byref(listed)
-            )
+            self._map = core.ssrvlad_map_of_for(interface, drives, listed)
         if not self._map:
             raise ValueError(last_error())
         weakref.finalize(self, core.ssrvlad_map_free, ctypes.c_void_p(self._map))
@@ -163,31 +156,31 @@ class DescriptorMap:
         Raises:
             ValueError: the rows are no such array, not one for each frame, or not finite.
         """
-        if name in self._channels:
-            raise ValueError(
-                f"{name}: expected a name that is new, got {', '.join(self._channels)}"
-            )
-        array, first, kind, shape, bits = None, None, _SCORES, (1, 1, 1), 1
+        new = name not in self._channels
+        _expect(name, ", ".join(self._channels), new, "a name that is new")
+        array, first, kind, shape = None, None, _SCORES, (1, 1, 1)
         if rows is not None:
             array = _checked(rows, name)
-            if len(array) != self._count:
-                raise ValueError(
-                    f"{name}: expected a row for each of {self._count} frames, got {len(array)}"
-                )
-            kind, bits = (_VECTORS, 1) if array.dtype == np.float32 else (_SIGNS, 8)
-            if kind == _VECTORS and array.ndim != 2:
-                raise ValueError(f"{name}: expected vectors (R, D), got {array.shape}")
+            _expect(
+                name,
+                len(array),
+                len(array) == self._count,
+                f"a row for each of {self._count} frames",
+            )
+            kind = _VECTORS if array.dtype == np.float32 else _SIGNS
+            _expect(name, array.shape, kind == _SIGNS or array.ndim == 2, "vectors (R, D)")
             shape = (1, 1, array.shape[1]) if kind == _VECTORS else array.shape[1:]
-            first = address(array, (self._count, *array.shape[1:]), "float32", "uint8")
+            first = array.ctypes.data
+        of_means = None
         if means is not None:
             means = np.ascontiguousarray(means, np.float32)
-            if means.size != self._means * math.prod(shape) * bits:
-                raise ValueError(
-                    f"{name}: expected means of {self._means} parts of the map, got {means.shape}"
-                )
-        of_means = None if means is None else address(means, means.shape, "float32")
+            size = self._means * math.prod(shape) * (8 if kind == _SIGNS else 1)
+            _expect(
+                name, means.shape, means.size == size, f"means of {self._means} parts of the map"
+            )
+            of_means = means.ctypes.data
         channel = struct("channel")(first, kind, *shape, trust, of_means)
-        require(required().ssrvlad_map_add_channel(self._map, ctypes.byref(channel)), name)
+        require(required().ssrvlad_map_add_channel(self._map, channel), name)
         self._channels[name] = array
         self._of_sequences.append(means)
 
@@ -224,7 +217,7 @@ class DescriptorMap:
         """
         call = Call(self, queries, (standardise, sweep, follow, delay, top), allowed, excluded)
         target = Target(call.count, top, self.channels)
-        call.run("ssrvlad_map_query", threads, ctypes.byref(target.decision), target)
+        call.run("ssrvlad_map_query", threads, target.decision, target)
         return target.decided()
 
     def compare(
@@ -240,10 +233,9 @@ class DescriptorMap:
         can be no match."""
         call = Call(self, queries, (standardise, sweep, None, 0, 1), allowed, excluded)
         scores = np.empty((call.count, self._count), np.float32)
-        steps = Target(0, 1, self.channels)
-        into = address(scores, (call.count, self._count), "float32")
-        call.run("ssrvlad_map_compare", threads, into, steps)
-        return scores, steps.taken()
+        target = Target(0, 1, self.channels)
+        call.run("ssrvlad_map_compare", threads, scores.ctypes.data, target)
+        return scores, target.taken()
 
     @property
     def channels(self) -> list[str]:
@@ -275,13 +267,13 @@ class Target:
             "right": np.empty(count, np.float32),
             "spread": np.empty(count, np.float32),
             "together": np.empty(count, np.float32),
-            "follows": np.empty(count, np.uint8),
+            "follows": np.empty(count, np.bool_),
         }
         self._channels, self._weights = channels, (ctypes.c_double * len(channels))()
         self.decision = struct("decision")()
         self.steps = struct("taken")(weights=ctypes.addressof(self._weights))
         for name, array in self._arrays.items():
-            setattr(self.decision, name, address(array, array.shape, "float32", "int64", "uint8"))
+            setattr(self.decision, name, array.ctypes.data)
 
     def taken(self) -> Taken:
         """The steps that were taken."""
@@ -290,12 +282,8 @@ class Target:
 
     def decided(self) -> Decision:
         """The decision."""
-        of = self.decision
-        scores, rows, right, spread, together, follows = self._arrays.values()
-        return Decision(
-            scores, rows, right, spread, together, follows.astype(bool),
-            of.way, of.rate, of.streams, of.gain, self.taken(),
-        )  # fmt: skip
+        course = {name: getattr(self.decision, name) for name in ("way", "rate", "streams", "gain")}
+        return Decision(**self._arrays, **course, taken=self.taken())
 
 
 class Call:
@@ -321,32 +309,23 @@ class Call:
         counts = {name: len(array) for name, array in self._arrays.items()}
         self.count = next(iter(counts.values()))
         _expect("queries", counts, len(set(counts.values())) == 1, "one number by all channels")
-        self._allowed = _of_shape("allowed", allowed, np.uint8, (len(town),))
-        self._excluded = _of_shape("excluded", excluded, np.int64, (self.count, 2))
-        self.steps = struct("steps")(
-            standardise, sweep, MODES[follow], delay, top,
-            address(self._allowed, (len(town),), "uint8"),
-            address(self._excluded, (self.count, 2), "int64"),
-        )  # fmt: skip
+        self._masks = (
+            _of_shape("allowed", allowed, np.uint8, (len(town),)),
+            _of_shape("excluded", excluded, np.int64, (self.count, 2)),
+        )
+        masks = (None if mask is None else mask.ctypes.data for mask in self._masks)
+        self.steps = struct("steps")(standardise, sweep, MODES[follow], delay, top, *masks)
 
     def queries(self) -> Any:
         """The queries by each channel, for the core."""
-        return (struct("queries") * len(self._arrays))(
-            *(
-                (address(array, array.shape, "float32", "uint8"), self._anchors(name))
-                for name, array in self._arrays.items()
-            )
-        )
+        arrays = self._arrays.items()
+        addresses = ((array.ctypes.data, self._anchors(name)) for name, array in arrays)
+        return (struct("queries") * len(arrays))(*addresses)
 
     def run(self, name: str, threads: int, results: Any, target: Target) -> None:
         """Calls a function of the core that fills results, and the steps of a target."""
-        call = getattr(required(), name)
-        require(
-            call(
-                self._town.address, self.queries(), self.count, ctypes.byref(self.steps), threads,
-                results, ctypes.byref(target.steps),
-            )
-        )  # fmt: skip
+        passed = self._town.address, self.queries(), self.count, self.steps, threads, results
+        require(getattr(required(), name)(*passed, target.steps))
 
     def _array(self, name: str, queries: Array) -> Array:
         rows = self._town._channels[name]

@@ -40,18 +40,17 @@ def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tenso
     labels, table = labels.contiguous(), table.contiguous()
     # whatever torch's default dtype and device are
     descriptors = torch.empty((len(labels), head.length), dtype=torch.float32, device="cpu")
+    ids = address(labels, labels.shape, *_LABELS)
     status = head.library.ssrvlad_describe(
         head.handle,
-        struct("labels")(
-            address(labels, labels.shape, *_LABELS), labels.element_size(), *labels.shape
-        ),
+        struct("labels")(ids, labels.element_size(), *labels.shape),
         struct("table")(address(table, (len(table),), "uint8"), len(table), origin),
         torch.get_num_threads(),
-        address(descriptors, (len(labels), head.length), "float32"),
+        descriptors.data_ptr(),
     )
     if status > 0:
-        ids = (table != table[-1]).nonzero()[:, 0] - origin
-        first = int(labels[~torch.isin(labels, ids)].min())
+        table_ids = (table != table[-1]).nonzero()[:, 0] - origin
+        first = int(labels[~torch.isin(labels, table_ids)].min())
         raise UnknownIdError(
             f"label id {first} is not in the label space; {status} pixels have such ids"
         )

@@ -56,9 +56,7 @@ struct Grid {
   Grid(Size height, Size width) : height(height), width(width), pitch(width / 64 + 1) {}
   Size words() const { return height * pitch; }
   // Bits of the image in word `i` of a row.
-  Word inside(Size i) const {
-    return i < width / 64 ? ALL : (Word{1} << width % 64) - 1;
-  }
+  Word inside(Size i) const { return i < width / 64 ? ALL : (Word{1} << width % 64) - 1; }
 };
 
 using Words = std::vector<Word>;
@@ -91,21 +89,18 @@ template <class Entry>
 class Lookup {
  public:
   template <class Meaning>
-  Lookup(const ssrvlad_table &table, Meaning meaning)
-      : origin_(table.origin), entries_(table.entries + 2) {
+  Lookup(const ssrvlad_table &table, Meaning meaning) : origin_(table.origin), entries_(table.entries + 2) {
     entries_.front() = entries_.back() = meaning(SSRVLAD_UNKNOWN);
-    for (Size i = 0; i < table.entries; ++i)
-      entries_[i + 1] = meaning(table.categories[i]);
+    for (Size i = 0; i < table.entries; ++i) entries_[i + 1] = meaning(table.categories[i]);
     for (Size id = 0; id < 256; ++id) bytes_[id] = entries_[place(id)];
   }
   SSRVLAD_INLINE Entry operator[](std::uint8_t id) const { return bytes_[id]; }
   SSRVLAD_INLINE Entry operator[](Size id) const { return entries_[place(id)]; }
 
  private:
-  std::size_t place(Size id) const {
+  Size place(Size id) const {
     const Size last = static_cast<Size>(entries_.size()) - 1;
-    const Size within = std::max(-origin_ - 1, std::min(id, last - 1 - origin_));
-    return within + origin_ + 1;
+    return std::clamp(id, -origin_ - 1, last - 1 - origin_) + origin_ + 1;
   }
   Size origin_;
   std::vector<Entry> entries_;
@@ -274,6 +269,7 @@ void by_doubling(Size radius, Spread spread) {
 // Dilation by a square. The plane is copied into a larger one, moved down and right by `radius`
 // pixels, so that the window of a pixel begins at the pixel.
 void dilate(Word *plane, const Grid &grid, Size radius, Words &larger) {
+  if (radius == 0) return;
   radius = std::min(radius, std::max(grid.height, grid.width));  // covers the whole image
   const Size pitch = grid.pitch + 2 * radius / 64 + 1, rows = grid.height + 2 * radius;
   const Size total = rows * pitch, whole = radius / 64;
@@ -295,20 +291,10 @@ void dilate(Word *plane, const Grid &grid, Size radius, Words &larger) {
 }
 
 void erode(Word *plane, const Grid &grid, Size radius, Words &buffer) {
+  if (radius == 0) return;
   complement(plane, grid);
   dilate(plane, grid, radius, buffer);
   complement(plane, grid);
-}
-
-void open_and_close(Word *plane, const Grid &grid, Size opening, Size closing, Words &buffer) {
-  if (opening > 0) {
-    erode(plane, grid, opening, buffer);
-    dilate(plane, grid, opening, buffer);
-  }
-  if (closing > 0) {
-    dilate(plane, grid, closing, buffer);
-    erode(plane, grid, closing, buffer);
-  }
 }
 
 // -------------------------------------------------------------------------------------- components
@@ -464,12 +450,8 @@ SSRVLAD_INLINE Nine nine_at(const Word *tile, Size pitch) {
 
 SSRVLAD_INLINE Ring ring_of(const Nine &nine) {
   const auto [a, b, c, d, here, f, g, h, i] = nine;
-  const auto west = [](Word left, Word middle) {
-    return (middle & ~RIGHT) << 1 | (left & RIGHT) >> 7;
-  };
-  const auto east = [](Word middle, Word right) {
-    return (middle & ~LEFT) >> 1 | (right & LEFT) << 7;
-  };
+  const auto west = [](Word left, Word middle) { return (middle & ~RIGHT) << 1 | (left & RIGHT) >> 7; };
+  const auto east = [](Word middle, Word right) { return (middle & ~LEFT) >> 1 | (right & LEFT) << 7; };
   const Word north_of_left = d << 8 | a >> 56, north = here << 8 | b >> 56;
   const Word north_of_right = f << 8 | c >> 56;
   const Word south_of_left = d >> 8 | g << 56, south = here >> 8 | h << 56;
@@ -624,8 +606,7 @@ void find_keypoints(const Tiles &skeleton, Tiles &keypoints, Tiles &crossings) {
   skeleton.visit([&](Size, Size, Size i) {
     const Ring r = ring_of(nine_at(&skeleton.words[i], skeleton.pitch));
     Word seen = 0, again = 0;
-    for (const Word beside : {r.n, r.ne, r.e, r.se, r.s, r.sw, r.w, r.nw})
-      again |= seen & beside, seen |= beside;
+    for (const Word beside : {r.n, r.ne, r.e, r.se, r.s, r.sw, r.w, r.nw}) again |= seen & beside, seen |= beside;
     keypoints.words[i] &= ~again;
     const auto [a, b, c, d] = steps_around(r);
     crossings.words[i] &= (a & b & (c | d)) | (c & d & (a | b));
@@ -682,8 +663,7 @@ struct Bins {
   std::vector<std::uint16_t> table;
 
   Bins(Size height, Size width, const std::vector<Size> &limits, int sectors)
-      : height(height), width(width), pitch(2 * width - 1),
-        centre((height - 1) * pitch + width - 1),
+      : height(height), width(width), pitch(2 * width - 1), centre((height - 1) * pitch + width - 1),
         total(static_cast<int>(limits.size()) * sectors),
         table((2 * height - 1) * pitch, static_cast<std::uint16_t>(total)) {
     for (Size dy = 1 - height; dy < height; ++dy)
@@ -709,9 +689,7 @@ struct Bins {
 // summed later, are faster: successive points are often in the same bin.
 void shape_context(Point reference, const std::vector<Point> &context, const Bins &bins, std::vector<Size> &counts) {
   const std::uint16_t *table = bins.table.data() + bins.centre - reference.y * bins.pitch - reference.x;
-  const auto bin = [&](std::size_t i) {
-    return std::size_t{table[context[i].y * bins.pitch + context[i].x]};
-  };
+  const auto bin = [&](std::size_t i) { return table[context[i].y * bins.pitch + context[i].x]; };
   std::size_t i = 0;
   Size *const first = counts.data(), *const second = first + bins.total + 1;
   for (; i + 1 < context.size(); i += 2) ++first[bin(i)], ++second[bin(i + 1)];
@@ -801,9 +779,7 @@ void add_boundaries(const Word *plane, const Grid &grid, Word *boundaries) {
   for (Size y = 1; y + 1 < grid.height; ++y)
     for (Size i = 0; i < grid.pitch; ++i) {
       const auto west = [&](const Word *row) { return row[i] << 1 | (i ? row[i - 1] >> 63 : 0); };
-      const auto east = [&](const Word *row) {
-        return row[i] >> 1 | (i + 1 < grid.pitch ? row[i + 1] << 63 : 0);
-      };
+      const auto east = [&](const Word *row) { return row[i] >> 1 | (i + 1 < grid.pitch ? row[i + 1] << 63 : 0); };
       const Word *above = plane + (y - 1) * grid.pitch, *below = plane + (y + 1) * grid.pitch;
       const Word nw = west(above), ne = east(above), sw = west(below), se = east(below);
       const Word n = nw ^ ne, s = sw ^ se, w = nw ^ sw, e = ne ^ se;
@@ -835,8 +811,7 @@ struct SoftBins {
   std::size_t total;
   std::array<std::vector<Entry>, CELLS> entries;
 
-  explicit SoftBins(const ssrvlad_settings &s)
-      : total(s.rings * s.sectors) {
+  explicit SoftBins(const ssrvlad_settings &s) : total(s.rings * s.sectors) {
     constexpr int SAMPLES = 4;
     std::vector<Cells> weights(total, Cells{});
     for (int i = 0; i < CELL_ROWS * SAMPLES; ++i)
@@ -897,8 +872,7 @@ std::vector<double> harmonic_basis(const ssrvlad_settings &s) {
       }
     normalise(wave.data(), static_cast<Size>(wave.size()));
     const double length = std::pow(1.0 + squared, s.spectral_weight / 2);
-    for (std::size_t bin = 0; bin < total; ++bin)
-      basis[bin * waves.size() + i] = steady(wave[bin] * length);
+    for (std::size_t bin = 0; bin < total; ++bin) basis[bin * waves.size() + i] = steady(wave[bin] * length);
   }
   return basis;
 }
@@ -1019,24 +993,24 @@ class Head {
     for (int k = 0; k < LAYERS; ++k) {
       Word *plane = s.clean.data() + k * grid.words();
       if (!any(plane, grid.words())) continue;
-      open_and_close(plane, grid, opening, closing, s.buffer);
+      erode(plane, grid, opening, s.buffer);
+      dilate(plane, grid, opening, s.buffer);
+      dilate(plane, grid, closing, s.buffer);
+      erode(plane, grid, closing, s.buffer);
       s.regions.repaint(plane, grid, hole, true);
       s.regions.repaint(plane, grid, region, false);
     }
-  }
-
-  void thin(Scratch &s, const Grid &grid, int k) {
-    to_tiles(s.clean.data() + k * grid.words(), grid, s.tiles);
-    s.thinning.thin(s.tiles, settings.thinning);
   }
 
   void residuals(Scratch &s, const Grid &grid) {
     const std::shared_ptr<const Bins> bins = bins_of(grid);
     clean(s, grid);
     for (int k = 0; k < LAYERS; ++k) {
+      const Word *plane = s.clean.data() + k * grid.words();
       Point centre;
-      if (!centroid(s.clean.data() + k * grid.words(), grid, centre)) continue;
-      thin(s, grid, k);
+      if (!centroid(plane, grid, centre)) continue;
+      to_tiles(plane, grid, s.tiles);
+      s.thinning.thin(s.tiles, settings.thinning);
       find_keypoints(s.tiles, s.keypoints, s.crossings);
       points_of(s.keypoints, s.references);
       points_of(s.tiles, s.context);
@@ -1048,11 +1022,10 @@ class Head {
       shape_context(centre, context, *bins, s.around_centre);
       double *vector = s.values.data() + Size{k} * bins->total;
       const auto number = static_cast<Size>(s.references.size());
-      for (int i = 0; i < bins->total; ++i) {  // Eq. 2
-        const auto bin = i;
+      for (int bin = 0; bin < bins->total; ++bin) {  // Eq. 2
         const Size points = s.around_points[bin] + s.around_points[half + bin];
         const Size around_it = s.around_centre[bin] + s.around_centre[half + bin];
-        vector[i] = static_cast<double>(points - number * around_it);
+        vector[bin] = static_cast<double>(points - number * around_it);
       }
       normalise(vector, bins->total);
     }

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from . import last_error, require, required
-from .addresses import address
 from .headers import number
 from .map import Array, Call, Decision, DescriptorMap, Target
 
@@ -51,13 +50,10 @@ class DescriptorTracker:
         threads: int = 1,
     ) -> None:
         self._settings = standardise, sweep, "online", delay, top
-        self._town, self._threads = town, threads
+        self._town, self._threads, core = town, threads, required()
         nothing = {name: town.no_queries(name) for name in town.channels}
-        call = Call(town, nothing, self._settings, allowed, None)
-        core = required()
-        self._tracker = core.ssrvlad_tracker_new_for(
-            number("INTERFACE"), town.address, ctypes.byref(call.steps)
-        )
+        steps = Call(town, nothing, self._settings, allowed, None).steps
+        self._tracker = core.ssrvlad_tracker_new_for(number("INTERFACE"), town.address, steps)
         if not self._tracker:
             raise ValueError(last_error())
         weakref.finalize(self, core.ssrvlad_tracker_free, ctypes.c_void_p(self._tracker))
@@ -101,27 +97,17 @@ class DescriptorTracker:
         if size < 0:
             raise MemoryError(last_error())
         state = np.empty(size, np.uint8)
-        save(self._tracker, address(state, (size,), "uint8"), size)
+        save(self._tracker, state.ctypes.data, size)
         return state.tobytes()
 
     def load(self, state: bytes) -> None:
         """Goes on from a state that `save` gave. One of another map or with other settings, a
         damaged one, and a tracker that has seen a query are a ValueError."""
-        array = np.frombuffer(state, np.uint8)
-        load = required().ssrvlad_tracker_load
-        require(load(self._tracker, address(array, array.shape, "uint8"), len(array)), "the state")
+        require(required().ssrvlad_tracker_load(self._tracker, state, len(state)), "the state")
 
     def _answer(self, name: str, *arguments: Any) -> tuple[int, Decision] | None:
         target = Target(1, self._settings[-1], self._town.channels)
         query = ctypes.c_int64()
-        call = getattr(required(), name)
-        require(
-            call(
-                self._tracker,
-                *arguments,
-                ctypes.byref(target.decision),
-                ctypes.byref(target.steps),
-                ctypes.byref(query),
-            )
-        )
+        results = target.decision, target.steps, ctypes.byref(query)
+        require(getattr(required(), name)(self._tracker, *arguments, *results))
         return None if query.value < 0 else (query.value, target.decided())
