@@ -330,14 +330,16 @@ def views_between(places, noise=0.002, light=0.0):
     return unit(vectors + RNG.normal(0, noise, vectors.shape))
 
 
+DAY, NIGHT = views_between(range(150)), views_between(range(40, 120), 0.02, LIGHT)
+
+
 def night_after(frames, step, pause, name="day"):
     """The results of a night, three frames a second, after some frames of a day and a pause."""
     loops = detector()
-    for row, vector in enumerate(views_between(range(150))[:frames]):
+    for row, vector in enumerate(DAY[:frames]):
         loops.update(vector, f"day/{row}", row * step)
     later = (frames - 1) * step + pause
-    night = views_between(range(40, 120), 0.02, LIGHT)
-    return [loops.update(v, f"{name}/{frames + n}", later + n / 3) for n, v in enumerate(night)]
+    return [loops.update(v, f"{name}/{frames + n}", later + n / 3) for n, v in enumerate(NIGHT)]
 
 
 @pytest.mark.parametrize(
@@ -367,9 +369,7 @@ def test_after_a_gap_another_light_closes_loops_and_without_one_none():
 @pytest.mark.parametrize("stop", [149, 150, 151, 200])
 def test_a_stream_that_was_saved_goes_on_as_one_that_was_not(database, stop):
     """Just before a gap, at it, just after it, and later."""
-    vectors = np.concatenate(
-        (views_between(range(150)), views_between(range(40, 120), 0.02, LIGHT))
-    )
+    vectors = np.concatenate((DAY, NIGHT))
     stamps = np.concatenate((np.arange(150) / 3, HOUR + np.arange(80) / 3))
 
     def go(loops, rows):

@@ -233,19 +233,17 @@ class VectorComparison : public Comparison {
   int threads_;
 };
 
-// Vectors that come one by one. The sums of the vectors so far, and of their products with each row, are kept
-// by the distance of their anchors from the usual one: those up to a width make the mean at this width.
+// Vectors that come one by one. What is kept of them are sums of numbers and of products with each row after them, by
+// the distance of their anchors from the usual one: those up to a width make the mean at this width.
 class LiveVectorComparison : public LiveComparison {
  public:
   LiveVectorComparison(Size anchors, bool swept, const VectorRows &rows, const Listing &listing, Floats prior)
       : reach_(swept ? anchors / 2 : 0), skipped_(anchors / 2 - reach_), rows_(rows), prior_(std::move(prior)),
         sums_(reach_ + 1), leads_(reach_ + 1, listing) {
     if (prior_.empty()) return;
-    of_prior_ = rows_.products(prior_.data(), 1, 1);
-    for (Sum &sum : sums_) {
-      sum.vectors.resize(prior_.size());
-      sum.products.resize(of_prior_.size());
-    }
+    const Floats of_prior = rows_.products(prior_.data(), 1, 1);
+    prior_.insert(prior_.end(), of_prior.begin(), of_prior.end());
+    for (Sum &sum : sums_) sum.numbers.resize(prior_.size());
   }
 
   void next(const void *query, int threads, float *scores) override {
@@ -255,15 +253,15 @@ class LiveVectorComparison : public LiveComparison {
       normalise(static_cast<const float *>(query) + (skipped_ + anchor) * length, length, units.data() + anchor * length);
     const Floats of_rows = rows_.products(units.data(), anchors, threads);
     if (!prior_.empty()) add(units, of_rows);
-    Sum sum{std::vector<double>(length), std::vector<double>(rows)};
-    Floats at_widths((reach_ + 1) * rows);
+    Sum sum{std::vector<double>(prior_.size())};
+    Floats mean(length + rows), at_widths((reach_ + 1) * rows);  // the mean, and the products of the rows with it
     std::vector<Factors> factors(anchors);
     for (Size at = 0; at <= reach_; ++at) {
-      const auto [mean, of_mean] = means(at, sum);
+      if (!prior_.empty()) take_mean(at, sum, mean);
       for (Size anchor = reach_ - at; anchor <= reach_ + at; ++anchor)
         factors[anchor] = factors_of(units.data() + anchor * length, mean.data(), length);
       float *best = at_widths.data() + at * rows;
-      rows_.best_of(0, rows, of_rows.data(), rows, factors.data(), anchors, at, of_mean.data(), best);
+      rows_.best_of(0, rows, of_rows.data(), rows, factors.data(), anchors, at, mean.data() + length, best);
       leads_.add(at, best);
     }
     width = leads_.best();
@@ -271,47 +269,42 @@ class LiveVectorComparison : public LiveComparison {
   }
 
   void keep(Archive &archive) override {
-    for (Sum &sum : sums_) archive(sum.vectors), archive(sum.products), archive(sum.count);
+    for (Sum &sum : sums_) archive(sum.numbers), archive(sum.count);
     leads_.keep(archive), archive(width);
-    for (const Sum &sum : sums_)
-      require(sum.vectors.size() == prior_.size() && sum.products.size() == of_prior_.size());
+    for (const Sum &sum : sums_) require(sum.numbers.size() == prior_.size());
   }
 
  private:
   struct Sum {
-    std::vector<double> vectors, products;
+    std::vector<double> numbers;
     double count = 0;
   };
 
   void add(const Floats &units, const Floats &of_rows) {
     const Size rows = rows_.count(), length = rows_.length;
     for (Size anchor = 0; anchor <= 2 * reach_; ++anchor) {
-      Sum &sum = sums_[std::abs(anchor - reach_)];
-      if (!length_of(units.data() + anchor * length, length)) continue;
-      for (Size n = 0; n < length; ++n) sum.vectors[n] += static_cast<double>(units[anchor * length + n]);
-      for (Size row = 0; row < rows; ++row) sum.products[row] += static_cast<double>(of_rows[anchor * rows + row]);
-      ++sum.count;
+      auto &[numbers, count] = sums_[std::abs(anchor - reach_)];
+      const float *unit = units.data() + anchor * length, *products = of_rows.data() + anchor * rows;
+      if (!length_of(unit, length)) continue;
+      for (Size n = 0; n < length; ++n) numbers[n] += static_cast<double>(unit[n]);
+      for (Size row = 0; row < rows; ++row) numbers[length + row] += static_cast<double>(products[row]);
+      ++count;
     }
   }
 
-  // The mean at a width, and the products of the rows with it; `sum` is of all narrower ones.
-  std::pair<Floats, Floats> means(Size at, Sum &sum) const {
-    Floats mean(sum.vectors.size()), of_mean(sum.products.size());
-    if (prior_.empty()) return {mean, of_mean};
+  // The mean at a width; `sum` is of all narrower ones.
+  void take_mean(Size at, Sum &sum, Floats &mean) const {
     const double before = static_cast<double>(MODEL.before * (2 * at + 1)), count = (sum.count += sums_[at].count) + before;
-    const auto add = [&](std::vector<double> &total, const std::vector<double> &more, const Floats &prior, Floats &mean) {
-      for (std::size_t n = 0; n < mean.size(); ++n)
-        mean[n] = static_cast<float>(((total[n] += more[n]) + before * static_cast<double>(prior[n])) / count);
-    };
-    add(sum.vectors, sums_[at].vectors, prior_, mean);
-    add(sum.products, sums_[at].products, of_prior_, of_mean);
-    return {std::move(mean), std::move(of_mean)};
+    for (std::size_t n = 0; n < mean.size(); ++n) {
+      sum.numbers[n] += sums_[at].numbers[n];
+      mean[n] = static_cast<float>((sum.numbers[n] + before * static_cast<double>(prior_[n])) / count);
+    }
   }
 
   Size reach_, skipped_;  // anchors to each side that count; others before the first of these
   const VectorRows &rows_;
-  Floats prior_, of_prior_;  // the mean of the map, and the products of its rows with it
-  std::vector<Sum> sums_;    // by distance from the usual anchor
+  Floats prior_;           // the mean of the map, and the products of its rows with it
+  std::vector<Sum> sums_;  // by distance from the usual anchor
   Leads leads_;
 };
 

@@ -30,12 +30,6 @@ double quantile(std::vector<double> values, double part) {
   return *lower + (next - *lower) * (at - whole);
 }
 
-template <class Number>
-void keep(std::deque<Number> &values, Number value, std::size_t most) {
-  values.push_back(value);
-  if (values.size() > most) values.pop_front();
-}
-
 // How many deviations the nearest row is ahead of the nearest elsewhere; rows without a score are at the
 // mean.
 double lead(const float *near, Size count, const Spread &spread) {
@@ -125,7 +119,7 @@ class Repeats {
     for (Size far = 0; far < rows; ++far) seen[far + 1] = near[first - far];
     for (std::size_t far = 0; far < widest.size(); ++far)
       widest[far] = std::max({seen[far], seen[far + 1], seen[far + 2]});
-    keep(last_, widest, LOOPS.track);
+    push(last_, widest, LOOPS.track);
     std::size_t shared = rows;
     for (const auto &row_of_distances : last_) shared = std::min(shared, row_of_distances.size());
     if (static_cast<Size>(last_.size()) < LOOPS.track || !shared) return;
@@ -175,8 +169,8 @@ class Tracks {
     closeness_.assign(count, 0);
     if (count < 2 * LOOPS.beside || near[count - 1] == NONE) return;
     const std::vector<float> seen(near + std::max<Size>(0, count - LOOPS.last_frames), near + count - LOOPS.beside);
-    keep(steps_, near[count - 1], LOOPS.usual);
-    keep(others_, static_cast<float>(median(seen)), LOOPS.usual);
+    push(steps_, near[count - 1], LOOPS.usual);
+    push(others_, static_cast<float>(median(seen)), LOOPS.usual);
     const Spread spread = plain_spread(near, old);
     if (std::all_of(near, near + old, [](float value) { return value == NONE; })) return;
     const auto later = count - static_cast<Size>(before_.size());
@@ -202,7 +196,7 @@ class Tracks {
     if (apart || since_ <= LOOPS.wait || closest_ == 0) return;
     waiting_.push_back(closest_);
     if (static_cast<Size>(waiting_.size()) <= LOOPS.wait) return;
-    keep(by_chance_, waiting_.front(), LOOPS.memory);
+    push(by_chance_, waiting_.front(), LOOPS.memory);
     waiting_.pop_front();
   }
 
@@ -367,7 +361,7 @@ class Stream {
     shown_.push_back(shown);
     described_.push_back(!channels_[0]->empty(centres[0]));
     known_ += described_.back();
-    keep(stamps_, stamp, LOOPS.last_frames);
+    push(stamps_, stamp, LOOPS.last_frames);
   }
 
   ssrvlad_loop step(const void *const *swept, const void *const *centres, const Size *anchors, int threads) {
@@ -397,7 +391,7 @@ class Stream {
     filter();
     const ssrvlad_loop loop = result(scored);
     if (loop.reason == SSRVLAD_ACCEPTED && spread.deviation > MIN_SPREAD)
-      keep(fits_, spread.z(near[loop.candidate]), LOOPS.fits);
+      push(fits_, spread.z(near[loop.candidate]), LOOPS.fits);
     return loop;
   }
 
@@ -495,7 +489,7 @@ class Stream {
     const Size start = starts_.back(), count = rows() - start, candidates = std::max<Size>(0, count - exclude_);
     const Size previous = count - std::max<Size>(1, exclude_ / LOOPS.stride);
     if (previous >= 0 && near[start + previous] != NONE)
-      keep(neighbours_, spread.z(near[start + previous]), LOOPS.memory);
+      push(neighbours_, spread.z(near[start + previous]), LOOPS.memory);
     const double usual = neighbours_.empty() ? 0.0 : quantile({neighbours_.begin(), neighbours_.end()}, 0.25);
     const double by_chance = std::sqrt(2 * log_of(static_cast<double>(std::max<Size>(2, rows()))));
     const double level = std::max({MOTION.level, LOOPS.level_fraction * usual, by_chance});

@@ -8,6 +8,7 @@
 #include <cmath>
 #include <cstdint>
 #include <cstring>
+#include <deque>
 #include <limits>
 #include <vector>
 
@@ -75,6 +76,13 @@ inline double nearness(double score) {
   return score == -std::numeric_limits<double>::infinity()
              ? score
              : -log_of(std::max(1 - score, ROUNDING));
+}
+
+// Appends to the last values, of which so many are kept.
+template <typename Number>
+void push(std::deque<Number> &values, Number value, Size most) {
+  values.push_back(value);
+  if (static_cast<Size>(values.size()) > most) values.pop_front();
 }
 
 // The middle of values, or the mean of the two in the middle; 0 without values.

@@ -342,15 +342,10 @@ class Regions {
   }
 
   void add_row(const Word *row, const Grid &grid, bool holes) {
-    const Size most = count_ + grid.width / 2 + 1;
-    if (most > capacity_) {
-      capacity_ = 2 * most;
-      std::unique_ptr<Run[]> more(new Run[capacity_]);
-      std::copy(runs_.get(), runs_.get() + count_, more.get());
-      runs_ = std::move(more);
-    }
+    const std::size_t most = count_ + grid.width / 2 + 1;
+    if (most > runs_.size()) runs_.resize(2 * most);
     Word before = 0;
-    Run *run = runs_.get() + count_;
+    Run *run = runs_.data() + count_;
     bool open = false;
     for (Size i = 0; i < grid.pitch; ++i) {
       const Word word = holes ? ~row[i] & grid.inside(i) : row[i];
@@ -360,14 +355,14 @@ class Regions {
         const auto x = static_cast<std::int32_t>(i * 64 + lowest_bit(steps));
         if (!open) {
           run->first = x;
-          run->region = static_cast<std::int32_t>(run - runs_.get());
+          run->region = static_cast<std::int32_t>(run - runs_.data());
         } else {
           (run++)->end = x;
         }
         open = !open;
       }
     }
-    count_ = run - runs_.get();
+    count_ = run - runs_.data();
   }
 
   std::int32_t root(std::int32_t run) {
@@ -397,8 +392,8 @@ class Regions {
     }
   }
 
-  std::unique_ptr<Run[]> runs_;
-  Size count_ = 0, capacity_ = 0;
+  std::vector<Run> runs_;  // of which the first count
+  Size count_ = 0;
   std::vector<Size> rows_;
 };
 
@@ -421,17 +416,31 @@ struct Tiles {
   }
 };
 
+// Eight rows of a word <-> eight tiles: transposes a square of 8 x 8 bytes; it is its own inverse.
+void transpose_bytes(Word square[8]) {
+  for (int step = 4; step; step /= 2) {
+    const int bits = 8 * step;
+    const Word low = step == 4 ? 0x00000000ffffffff : step == 2 ? 0x0000ffff0000ffff : 0x00ff00ff00ff00ff;
+    for (int i = 0; i < 8; ++i) {
+      if (i & step) continue;
+      const Word swap = (square[i] >> bits ^ square[i + step]) & low;
+      square[i + step] ^= swap, square[i] ^= swap << bits;
+    }
+  }
+}
+
 void to_tiles(const Word *plane, const Grid &grid, Tiles &tiles) {
   tiles.rows = (grid.height + 7) / 8, tiles.columns = (grid.width + 7) / 8, tiles.pitch = tiles.columns + 1;
   tiles.words.assign((tiles.rows + 2) * tiles.pitch + 2, 0);
   for (Size row = 0; row < tiles.rows; ++row)
     for (Size i = 0; i < grid.pitch; ++i) {
-      Word *tile = &tiles.words[tiles.first(row) + 8 * i];
+      Word square[8] = {}, seen = 0;
+      const Size lines = std::min<Size>(8, grid.height - 8 * row);
+      for (Size y = 0; y < lines; ++y) seen |= square[y] = plane[(8 * row + y) * grid.pitch + i];
+      if (!seen) continue;
+      transpose_bytes(square);
       const Size count = std::min<Size>(8, tiles.columns - 8 * i);
-      for (Size y = 0; y < std::min<Size>(8, grid.height - 8 * row); ++y) {
-        const Word line = plane[(8 * row + y) * grid.pitch + i];
-        for (Size x = 0; line && x < count; ++x) tile[x] |= (line >> 8 * x & 255) << 8 * y;
-      }
+      std::copy(square, square + count, &tiles.words[tiles.first(row) + 8 * i]);
     }
 }
 
@@ -533,29 +542,22 @@ class Thinning {
  public:
   void thin(Tiles &tiles, int thinning) {
     start(tiles);
-    for (int kind = 0; due_[0].count + due_[1].count; kind ^= 1) {
+    for (int kind = 0; due_[0].size() + due_[1].size(); kind ^= 1) {
       std::swap(due_[kind], now_);
-      due_[kind].count = 0;
-      for (Size i = 0; i < now_.count; ++i) waiting_[now_[i]] &= static_cast<std::uint8_t>(~(1 << kind));
-      for (Size i = 0; i < now_.count; i += BLOCK) look_at(tiles, i, thinning, kind == 0);
-      for (Size i = 0; i < now_.count; ++i)
+      due_[kind].clear();
+      const auto count = static_cast<Size>(now_.size());
+      for (const Size place : now_) waiting_[place] &= static_cast<std::uint8_t>(~(1 << kind));
+      for (Size i = 0; i < count; i += BLOCK) look_at(tiles, i, thinning, kind == 0);
+      for (Size i = 0; i < count; ++i)
         if (gone_[i]) take(tiles, now_[i], gone_[i]);
     }
   }
 
  private:
-  struct Places {
-    std::vector<std::uint32_t> places;
-    Size count = 0;
-    Size operator[](Size i) const { return places[i]; }
-  };
-
   // At first all tiles with foreground are due, except full tiles among full tiles.
   void start(const Tiles &tiles) {
-    const std::size_t total = tiles.words.size();
-    waiting_.assign(total, 0);
-    gone_.resize(total + BLOCK);
-    for (Places *list : {&due_[0], &due_[1], &now_}) list->places.resize(total + 1), list->count = 0;
+    waiting_.assign(tiles.words.size(), 0);
+    gone_.resize(tiles.words.size() + BLOCK);
     tiles.visit([&](Size, Size, Size i) {
       Word all = ALL;
       for (const Word tile : nine_at(&tiles.words[i], tiles.pitch)) all &= tile;
@@ -565,33 +567,41 @@ class Thinning {
 
   SSRVLAD_INLINE void call(const Tiles &tiles, Size place) {
     if (!tiles.words[place]) return;
-    const unsigned missing = 3u & ~waiting_[place];
+    for (const int kind : {0, 1})
+      if (!(waiting_[place] >> kind & 1)) due_[kind].push_back(static_cast<std::uint32_t>(place));
     waiting_[place] = 3;
-    for (const int kind : {0, 1}) {
-      due_[kind].places[due_[kind].count] = static_cast<std::uint32_t>(place);
-      due_[kind].count += missing >> kind & 1;
-    }
   }
 
   void look_at(const Tiles &tiles, Size from, int thinning, bool first) {
-    for (Size i = 0; i < std::min(BLOCK, now_.count - from); ++i) {
-      const Nine nine = nine_at(&tiles.words[now_[from + i]], tiles.pitch);
-      for (std::size_t k = 0; k < 9; ++k) block_[k][i] = nine[k];
+    const Size count = std::min(BLOCK, static_cast<Size>(now_.size()) - from), pitch = tiles.pitch;
+    for (Size i = 0; i < count; ++i) {
+      const Word *tile = &tiles.words[now_[from + i]];
+      std::size_t k = 0;
+      for (const Size row : {-pitch, Size{0}, pitch})
+        for (const Size column : {-1, 0, 1}) block_[k++][i] = tile[row + column];
     }
     delete_pixels(block_, thinning, first, &gone_[from]);
   }
 
   void take(Tiles &tiles, Size place, Word gone) {
     tiles.words[place] &= ~gone;
-    const Size down = tiles.pitch;
-    const std::pair<Word, Size> beside[] = {
-        {ALL, 0},   {TOP, -down},           {BOTTOM, down},          {LEFT, -1},
-        {RIGHT, 1}, {TOP & LEFT, -down - 1}, {TOP & RIGHT, 1 - down}, {BOTTOM & LEFT, down - 1}, {BOTTOM & RIGHT, down + 1}};
-    for (const auto &[edge, step] : beside)
-      if (gone & edge) call(tiles, place + step);
+    const Size above = place - tiles.pitch, below = place + tiles.pitch;
+    call(tiles, place);
+    if (gone & TOP) call(tiles, above);
+    if (gone & BOTTOM) call(tiles, below);
+    if (gone & LEFT) {
+      call(tiles, place - 1);
+      if (gone & LEFT & TOP) call(tiles, above - 1);
+      if (gone & LEFT & BOTTOM) call(tiles, below - 1);
+    }
+    if (gone & RIGHT) {
+      call(tiles, place + 1);
+      if (gone & RIGHT & TOP) call(tiles, above + 1);
+      if (gone & RIGHT & BOTTOM) call(tiles, below + 1);
+    }
   }
 
-  Places due_[2], now_;
+  std::vector<std::uint32_t> due_[2], now_;
   std::vector<std::uint8_t> waiting_;  // bit 0, bit 1: due in the next first, second sub-iteration
   Words gone_;
   Block block_{};
@@ -916,7 +926,9 @@ auto with_ids(const ssrvlad_labels &labels, Visit visit) {
 // Settings, with their tables and the working memory of threads.
 class Head {
  public:
-  explicit Head(const ssrvlad_settings &settings) : settings(settings) {
+  const std::string fingerprint;
+
+  explicit Head(const ssrvlad_settings &settings) : fingerprint(fingerprint_of(settings)), settings(settings) {
     if (settings.aggregation == SSRVLAD_RESIDUALS) return;
     soft_bins = std::make_unique<SoftBins>(settings);
     basis = harmonic_basis(settings);
@@ -1154,8 +1166,7 @@ void places::refuse(const char *reason, ...) {
 void places::say(const char *reason) { std::snprintf(last_error, sizeof last_error, "%s", reason); }
 
 struct ssrvlad_head : Head {
-  explicit ssrvlad_head(const ssrvlad_settings &settings) : Head(settings), fingerprint(fingerprint_of(settings)) {}
-  const std::string fingerprint;
+  using Head::Head;
 };
 
 #ifndef SSRVLAD_SOURCE

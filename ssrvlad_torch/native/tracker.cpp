@@ -10,12 +10,6 @@ namespace places {
 namespace {
 constexpr double NO_ANSWER = std::numeric_limits<double>::quiet_NaN();
 
-template <typename Value>
-void push(std::deque<Value> &values, Value value, Size most) {
-  values.push_back(value);
-  if (static_cast<Size>(values.size()) > most) values.pop_front();
-}
-
 bool same(const Course &one, const Course &other) {
   return one.way == other.way && one.rate == other.rate && one.streams == other.streams;
 }
