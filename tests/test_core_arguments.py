@@ -9,6 +9,7 @@ from helpers import outcome
 from ssrvlad_torch.config import CHOICES, PRESETS, SSRVLADConfig
 from ssrvlad_torch.native import FOLDER, LIBRARY, last_error
 from ssrvlad_torch.native.headers import number, struct
+from ssrvlad_torch.native.operator import settings_of
 
 FOUND, NUMBERS, PLANES = np.empty(8), np.full(4, 0.5), np.zeros((16, 16), np.uint8)
 FRAMES, START, MANY = np.eye(4, 8, dtype=np.float32), np.zeros(1, np.int64), 1 << 62
@@ -80,12 +81,6 @@ def test_where_memory_runs_short_the_status_says_so_and_the_stream_goes_on(core)
     handle, reserve = ctypes.c_void_p(loops), core.library.ssrvlad_loops_reserve
     assert [reserve(handle, frames) for frames in (1 << 40, 9)] == [number("NO_MEMORY"), 0]
     core.library.ssrvlad_loops_free(handle)
-
-
-def settings_of(config):
-    values = {name: getattr(config, name) for name, *_ in struct("settings")._fields_}
-    values.update({name: names.index(values[name]) for name, names in CHOICES.items()})
-    return struct("settings")(**{**values, "working_size": config.working_size or 0})
 
 
 @pytest.mark.parametrize(

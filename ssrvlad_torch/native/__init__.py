@@ -50,18 +50,17 @@ def require(status: int, what: str = "") -> None:
 def core() -> Core:
     """Loads the native core, unless it was built from another version of the C++ files."""
     path = FOLDER / LIBRARY
-    if not path.exists():
-        return _without("is missing")
     files = sorted(file for file in FOLDER.iterdir() if file.suffix in (".cpp", ".h", ".hpp"))
     source = b"".join(file.read_bytes() for file in files)
-    if hashlib.sha256(source).hexdigest().encode() not in path.read_bytes():
-        return _without("is of another version")
-    try:
-        library = typed(ctypes.CDLL(str(path)))
-    except OSError as error:
-        return _without(f"cannot be loaded ({error})")
-    return Core(library, f"the native core ({ctypes.string_at(library.ssrvlad_simd()).decode()})")
-
-
-def _without(problem: str) -> Core:
+    if not path.exists():
+        problem = "is missing"
+    elif hashlib.sha256(source).hexdigest().encode() not in path.read_bytes():
+        problem = "is of another version"
+    else:
+        try:
+            library = typed(ctypes.CDLL(str(path)))
+            simd = ctypes.string_at(library.ssrvlad_simd()).decode()
+            return Core(library, f"the native core ({simd})")
+        except OSError as error:
+            problem = f"cannot be loaded ({error})"
     return Core(None, f"the native core {problem}: {BUILD}")

@@ -78,7 +78,7 @@ void Fusion::of(const std::vector<double> &weights, float *scores) const {
 }
 
 Fused::Fused(std::vector<std::unique_ptr<Scores>> members, const std::vector<double> &trust, const Listing &listing)
-    : Comparison(members.front()->queries(), members.front()->rows()), members_(std::move(members)), listing_(listing) {
+    : Comparison(members.front()->queries(), listing.count()), members_(std::move(members)), listing_(listing) {
   std::vector<double> leads(trust.size());
   const Size step = std::max<Size>(1, queries() / MODEL.sample), sampled = (queries() + step - 1) / step;
   for (Size query = 0; queries() >= MODEL.min_frames && query < queries(); query += step) {

@@ -32,7 +32,7 @@ class Comparison : public Scores {
   Comparison(Size queries, Size rows);
 
   Size queries() const override { return queries_; }
-  Size rows() const override { return rows_; }
+  Size rows() const { return rows_; }
   void of(Size query, float *scores) const override;
 
   Size width = 0;  // of the sweep, in anchors to each side
@@ -91,7 +91,6 @@ class Candidates : public Scores {
   Candidates(std::unique_ptr<Scores> scores, const Listing &listing, const std::uint8_t *allowed, const Size *excluded)
       : scores_(std::move(scores)), listing_(listing), allowed_(allowed), excluded_(excluded) {}
   Size queries() const override { return scores_->queries(); }
-  Size rows() const override { return scores_->rows(); }
   void of(Size query, float *scores) const override {
     scores_->of(query, scores);
     mask(listing_, allowed_, excluded_ ? excluded_ + 2 * query : nullptr, scores);

@@ -24,8 +24,7 @@ class Scores {
  public:
   virtual ~Scores() = default;
   virtual Size queries() const = 0;
-  virtual Size rows() const = 0;
-  // Fills `rows()` numbers of at most 1, as cosines are; NONE where there can be no match.
+  // Fills a number for each row, of at most 1, as cosines are; NONE where there can be no match.
   virtual void of(Size query, float *scores) const = 0;
 };
 

@@ -123,7 +123,9 @@ std::shared_ptr<const Sight> Evidence::followed(const Motion &motion, Size query
   const Known &here = near(query);
   const auto sight = std::make_shared<Sight>(*here.sight);
   std::vector<float> &rows = sight->likelihood.rows;
-  rows = likelihoods(here.near.data(), listing_.count(), motion, here.spread);
+  rows.assign(here.near.size(), 1.0F);
+  if (here.spread.deviation > MIN_SPREAD)
+    likelihoods(here.near.data(), listing_.count(), motion.weight, motion.level, here.spread, rows.data());
   // The rows that are not listed are like those of the sample, which stand for them.
   const Size others = listing_.map.rows - listing_.count();
   double elsewhere = 0;

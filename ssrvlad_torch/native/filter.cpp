@@ -61,17 +61,6 @@ void slide(float *target, const float *values, Size count, const float *weights,
 void mixed(float *target, const float *values, float factor, const float *common, float part, Size count) {
   on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] = factor * values[i] + part * common[i]; });
 }
-
-void likelihoods(const float *near, Size count, double level, double weight, Limits limits, float *likely) {
-  on_cpu([=](auto) {
-    for (Size i = 0; i < count; ++i) {
-      const double emission = (static_cast<double>(near[i]) - level) * weight;
-      const double capped = emission < limits.most ? emission : limits.most;
-      likely[i] = static_cast<float>(exp_of(near[i] == NONE ? limits.none : capped));
-    }
-  });
-}
-
 }  // namespace
 
 // -------------------------------------------------------------------------------------------- motion
@@ -108,13 +97,15 @@ Steps::Steps(double rate) {
   }
 }
 
-std::vector<float> likelihoods(const float *near, Size count, const Motion &motion,
-                               const Spread &spread) {
-  std::vector<float> likely(static_cast<std::size_t>(count), 1.0F);
-  if (spread.deviation <= MIN_SPREAD) return likely;
-  likelihoods(near, count, spread.mean + motion.level * spread.deviation,
-              motion.weight / spread.deviation, {}, likely.data());
-  return likely;
+void likelihoods(const float *near, Size count, double weight, double level, const Spread &spread, float *likely) {
+  const double least = spread.mean + level * spread.deviation, factor = weight / spread.deviation;
+  on_cpu([=, limits = Limits()](auto) {
+    for (Size i = 0; i < count; ++i) {
+      const double emission = (static_cast<double>(near[i]) - least) * factor;
+      const double capped = emission < limits.most ? emission : limits.most;
+      likely[i] = static_cast<float>(exp_of(near[i] == NONE ? limits.none : capped));
+    }
+  });
 }
 
 // ---------------------------------------------------------------------------------------------- rows

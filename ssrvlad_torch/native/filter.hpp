@@ -138,10 +138,9 @@ struct Future {
   double elsewhere = 1, unmapped = 1;
 };
 
-// How much likelier a frame is at rows than at a place that the map lacks, by their nearness and the spread
-// of that of all rows; 0 where it is -inf, 1 everywhere if all are equal.
-std::vector<float> likelihoods(const float *near, Size count, const Motion &motion,
-                               const Spread &spread);
+// How much likelier a frame is at rows than at a place that the map lacks, by their nearness, the spread of that of
+// all rows, and the weight and level of a motion; 0 where it is -inf.
+void likelihoods(const float *near, Size count, double weight, double level, const Spread &spread, float *likely);
 
 class Filter {
  public:

@@ -60,16 +60,6 @@ void expect(const std::vector<float> &rough, const std::vector<float> &known_rou
       near[row] = static_cast<float>(to.mean + slope * (static_cast<double>(rough[row]) - from.mean));
 }
 
-// How much likelier a frame is at rows than at a new place, by their nearness.
-void likelihoods(const float *near, Size count, double weight, double level, const Spread &spread, float *likely) {
-  on_cpu([=, &spread](auto) {
-    const double least = spread.mean + level * spread.deviation, factor = weight / spread.deviation;
-    for (Size i = 0; i < count; ++i)
-      likely[i] =
-          static_cast<float>(exp_of(std::min((static_cast<double>(near[i]) - least) * factor, MODEL.most_log)));
-  });
-}
-
 // How alike the last of some frames is to those just before it, by their cosines: 0 as different places,
 // 1 as one frame and the next.
 double likeness(const std::vector<double> &cosines, Size count) {

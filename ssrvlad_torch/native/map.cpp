@@ -27,7 +27,6 @@ class Matrix : public Scores {
  public:
   Matrix(const float *scores, Size count, Size rows) : scores_(scores), count_(count), rows_(rows) {}
   Size queries() const override { return count_; }
-  Size rows() const override { return rows_; }
   void of(Size query, float *scores) const override { std::copy_n(scores_ + query * rows_, rows_, scores); }
 
  private:
@@ -263,7 +262,7 @@ int ssrvlad_map_compare(const ssrvlad_map *map, const ssrvlad_queries *queries, 
     check(map, queries, count, steps, taken);
     require(scores || !count);
     const auto compared = map->compare(queries, count, *steps, threads, *taken);
-    for (Size query = 0; query < count; ++query) compared->of(query, scores + query * compared->rows());
+    for (Size query = 0; query < count; ++query) compared->of(query, scores + query * map->listing().count());
   });
 }
 

@@ -282,8 +282,9 @@ class Target:
 
     def decided(self) -> Decision:
         """The decision."""
-        course = {name: getattr(self.decision, name) for name in ("way", "rate", "streams", "gain")}
-        return Decision(**self._arrays, **course, taken=self.taken())
+        of, (scores, rows, right, spread, together, follows) = self.decision, self._arrays.values()
+        course = of.way, of.rate, of.streams, of.gain
+        return Decision(scores, rows, right, spread, together, follows, *course, self.taken())
 
 
 class Call:

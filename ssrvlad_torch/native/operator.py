@@ -8,6 +8,7 @@ import ctypes
 import json
 import weakref
 from functools import lru_cache
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -70,6 +71,14 @@ def _(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tensor:
     return labels.new_empty((labels.shape[0], length), dtype=torch.float32)
 
 
+def settings_of(config: SSRVLADConfig) -> Any:
+    """A config as ``ssrvlad_settings``."""
+    structure = struct("settings")
+    values = {name: getattr(config, name) for name, *_ in structure._fields_}
+    values.update({name: choices.index(values[name]) for name, choices in CHOICES.items()})
+    return structure(**{**values, "working_size": config.working_size or 0})
+
+
 @lru_cache(maxsize=16)
 class _Head:
     """A head of the library, freed together with this object; one for the same settings."""
@@ -79,11 +88,7 @@ class _Head:
         if library is None:
             raise RuntimeError("the native core was not built")
         self.library, self.length = library, config.length
-        structure = struct("settings")
-        values = {name: getattr(config, name) for name, *_ in structure._fields_}
-        values.update({name: choices.index(values[name]) for name, choices in CHOICES.items()})
-        filled = structure(**{**values, "working_size": config.working_size or 0})
-        self.handle = library.ssrvlad_new_for(number("INTERFACE"), filled)
+        self.handle = library.ssrvlad_new_for(number("INTERFACE"), settings_of(config))
         if not self.handle:
             raise RuntimeError(last_error())
         weakref.finalize(self, library.ssrvlad_free, ctypes.c_void_p(self.handle))

@@ -25,7 +25,6 @@ class Recent : public Scores {
   void push(std::vector<float> scores, Size most);
   Size first() const { return first_; }
   Size queries() const override { return first_ + static_cast<Size>(scores_.size()); }
-  Size rows() const override { return rows_; }
   void of(Size query, float *scores) const override;
   void keep(Archive &archive);
 
