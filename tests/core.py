@@ -24,7 +24,7 @@ def library():
         flags = ["-std=c++17", "-O2", "-ffp-contract=off", "-shared", "-fPIC", f"-I{FOLDER}"]
         subprocess.run(["g++", *flags, *sources, "-o", built], check=True)
         functions = ctypes.CDLL(str(built))
-    functions.chance.restype = functions.together.restype = ctypes.c_double
+    functions.chance.restype = ctypes.c_double
     return functions
 
 
@@ -59,9 +59,10 @@ def mapped(chances, together):
     return has
 
 
-def mapped_along(nearer):
-    numbers, has = doubles(nearer), np.empty(len(nearer))
-    library().mapped_along(pointer(numbers), ctypes.c_int64(numbers.size), pointer(has))
+def mapped_along(nearer, together):
+    numbers, lengths, has = doubles(nearer), doubles(together), np.empty(len(nearer))
+    size = ctypes.c_int64(numbers.size)
+    library().mapped_along(pointer(numbers), pointer(lengths), size, pointer(has))
     return has
 
 
@@ -80,6 +81,8 @@ def of_chances(chances, together):
     return Confidence(*map(torch.from_numpy, sure), err)
 
 
-def answers_together(rivals):
-    rows = np.ascontiguousarray(rivals, np.int64)
-    return library().together(pointer(rows), ctypes.c_int64(rows.size))
+def rivals_together(chances, rivals):
+    numbers, rows = doubles(chances), np.ascontiguousarray(rivals, np.int64)
+    together, size = np.empty(len(rivals)), ctypes.c_int64(numbers.size)
+    library().together(pointer(numbers), pointer(rows), size, pointer(together))
+    return together

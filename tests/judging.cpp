@@ -19,8 +19,8 @@ void mapped(const double *chances, Size queries, double together, double *has) {
   std::copy(probabilities.begin(), probabilities.end(), has);
 }
 
-void mapped_along(const double *nearer, Size queries, double *has) {
-  const auto probabilities = mapped_along({nearer, nearer + queries});
+void mapped_along(const double *nearer, const double *together, Size queries, double *has) {
+  const auto probabilities = mapped_along({nearer, nearer + queries}, {together, together + queries});
   std::copy(probabilities.begin(), probabilities.end(), has);
 }
 
@@ -31,5 +31,8 @@ void confidence(const double *chances, const double *has, Size queries, double t
   std::copy(sure.spread.begin(), sure.spread.end(), spread);
 }
 
-double together(const Size *rivals, Size queries) { return answers_together({rivals, rivals + queries}); }
+void together(const double *chances, const Size *rivals, Size queries, double *together) {
+  const auto lengths = rivals_together({chances, chances + queries}, {rivals, rivals + queries});
+  std::copy(lengths.begin(), lengths.end(), together);
+}
 }

@@ -87,9 +87,9 @@ def test_a_query_alone_has_the_best_rows_and_the_confidence_of_the_oracle(sequen
     shape = decision.rows[:, : best.shape[1]]
     np.testing.assert_array_equal(shape, np.where(np.isfinite(values), best, -1))
     judged = [oracle.chance(oracle.nearness(row)) for row in scores]
-    rivals = np.array([rival for _, rival in judged])[answered]
-    together = oracle.answers_together(rivals)
     chances = np.where(answered, [chance for chance, _ in judged], np.nan)
+    rivals = oracle.rivals_together(chances, [rival for _, rival in judged])
+    together = oracle.answers_together(rivals)
     right, spread = oracle.confidence(chances, oracle.mapped(chances, together), together)
     enough = sum(frames) >= oracle.MIN_FRAMES
     np.testing.assert_allclose(decision.right, right * enough, atol=1e-6)
@@ -289,9 +289,14 @@ def test_what_the_map_has_and_confidence_are_those_of_the_oracle(seed, queries, 
     chances = np.where(is_right, rng.random(queries) ** 6, rng.random(queries))
     nearer = rng.normal(np.where(is_right, 4, 1.9), rng.choice([1, 5]))
     chances[empty] = nearer[empty] = np.nan
-    together = single.answers_together(np.sort(rng.integers(0, 100, queries)))
-    has = oracle.mapped_along(nearer) if followed else oracle.mapped(chances, together)
-    of_core = single.mapped_along(nearer) if followed else single.mapped(chances, together)
+    rivals = np.sort(rng.integers(0, 100, queries))
+    lengths = oracle.rivals_together(chances, rivals)
+    np.testing.assert_array_equal(single.rivals_together(chances, rivals), lengths)
+    together = oracle.answers_together(lengths)
+    has, of_core = (
+        side.mapped_along(nearer, lengths) if followed else side.mapped(chances, together)
+        for side in (oracle, single)
+    )
     np.testing.assert_allclose(of_core, has, atol=1e-9)
     of_core, expected = (
         side.confidence(chances, has, together, followed) for side in (single, oracle)

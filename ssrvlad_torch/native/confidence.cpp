@@ -163,18 +163,26 @@ Chance chance_of(const double *values, const Rows &rows, Size matching) {
   return compared(values, rows, matching, [](double value) { return value; });
 }
 
-double answers_together(const std::vector<Size> &rivals) {
-  if (rivals.empty()) return 1;
-  double squares = 0, length = 1;
-  for (std::size_t query = 1; query <= rivals.size(); ++query) {
-    if (query < rivals.size() && std::abs(rivals[query] - rivals[query - 1]) <= MODEL.near) {
-      ++length;
-      continue;
-    }
-    squares += length * length;
-    length = 1;
+std::vector<double> rivals_together(const std::vector<double> &chances, const std::vector<Size> &rivals) {
+  std::vector<double> together(chances.size());
+  std::vector<std::size_t> run;
+  const auto end_run = [&] {
+    for (const std::size_t query : run) together[query] = static_cast<double>(run.size());
+    run.clear();
+  };
+  for (std::size_t query = 0; query < chances.size(); ++query) {
+    if (std::isnan(chances[query])) continue;
+    if (!run.empty() && std::abs(rivals[query] - rivals[run.back()]) > MODEL.near) end_run();
+    run.push_back(query);
   }
-  return squares / static_cast<double>(rivals.size());
+  end_run();
+  return together;
+}
+
+double answers_together(const std::vector<double> &rivals_together) {
+  double total = 0, answers = 0;
+  for (const double together : rivals_together) total += together, answers += together > 0;
+  return answers > 0 ? total / answers : 1;
 }
 
 // ---------------------------------------------------------------------------------------- confidence
@@ -345,7 +353,7 @@ std::vector<double> mapped(const std::vector<double> &chances, double together) 
   });
 }
 
-std::vector<double> mapped_along(const std::vector<double> &nearer) {
+std::vector<double> mapped_along(const std::vector<double> &nearer, const std::vector<double> &together) {
   const std::vector<std::size_t> queries = answered(nearer);
   const std::vector<double> log_weights(static_cast<std::size_t>(MODEL.levels));
   return mapped_at(log_weights, queries, nearer.size(), [&](std::size_t number, double *likelier) {
@@ -353,7 +361,7 @@ std::vector<double> mapped_along(const std::vector<double> &nearer) {
     for (std::size_t answer = 0; answer < queries.size(); ++answer) {
       const double away = nearer[queries[answer]] - level, by_chance = nearer[queries[answer]] - MODEL.chance_nearer;
       const double log = std::min((by_chance * by_chance - away * away) / 2, MODEL.most_log);
-      likelier[answer] = exp_of(log / MODEL.nearer_together);
+      likelier[answer] = exp_of(log / std::max(MODEL.least_together, together[queries[answer]]));
     }
   });
 }

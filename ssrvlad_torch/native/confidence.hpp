@@ -26,16 +26,19 @@ Chance chance_of_beliefs(const float *beliefs, const float *scores, const Rows &
                          Size matching);
 Chance chance_of(const double *values, const Rows &rows, Size matching);
 
-// How many neighbouring queries have one answer, by the best rivals of a drive.
-double answers_together(const std::vector<Size> &rivals);
+// How many neighbouring queries have the best rival of each, by the chances of the answers, NaN without one, and the
+// rows of the rivals; 0 without an answer.
+std::vector<double> rivals_together(const std::vector<double> &chances, const std::vector<Size> &rivals);
+// The mean of that: how many neighbouring queries have one answer.
+double answers_together(const std::vector<double> &rivals_together);
 
 // The probability that the map has the place of each query of a sequence, by the chance of its answer by this
 // query alone, NaN without an answer; so many neighbouring queries err together. 0 without an answer.
 std::vector<double> mapped(const std::vector<double> &chances, double together);
 // The same of a sequence that is followed, by how many deviations the place of each answer is nearer to its query
 // than all rows in the mean, NaN without an answer. Where the map lacks the place, that is `chance_nearer`; how
-// much nearer the right places are, the sequence shows.
-std::vector<double> mapped_along(const std::vector<double> &nearer);
+// much nearer the right places are, the sequence shows. So many neighbouring queries have the rival of each.
+std::vector<double> mapped_along(const std::vector<double> &nearer, const std::vector<double> &together);
 
 // Whether answers of a sequence that is followed are hardly less ahead of their rivals than alone, by their chances,
 // NaN without one.

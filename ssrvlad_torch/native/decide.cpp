@@ -160,9 +160,10 @@ Followed follow_course(const Evidence &evidence, const Likeness &likeness, const
 
 // Each query by itself.
 struct Judged {
-  std::vector<double> chances;  // NaN without an answer
-  double together;              // how many err together
-  Likeness likeness;            // of a drive that may be followed
+  std::vector<double> chances;          // NaN without an answer
+  std::vector<double> rivals_together;  // how many have the rival of each
+  double together;                      // how many err together
+  Likeness likeness;                    // of a drive that may be followed
 };
 
 // Makes a followed decision of one that was made alone, if that leaves its answers hardly less ahead. An empty
@@ -175,7 +176,8 @@ void take(const Followed &places, const Judged &judged, Decision &decision) {
       chances[query] = nearer[query] = std::numeric_limits<double>::quiet_NaN();
   if (!are_hardly_less_ahead(chances, judged.chances)) return;
   decision.followed = true;
-  assure(chances, mapped_along(nearer), std::max(static_cast<double>(MODEL.around), judged.together), decision);
+  assure(chances, mapped_along(nearer, judged.rivals_together),
+         std::max(static_cast<double>(MODEL.around), judged.together), decision);
   for (Size query = 0; query < queries; ++query) {
     const Size first = query * top;
     if (decision.rows[first] < 0) continue;
@@ -189,7 +191,7 @@ Judged judge(const Evidence &evidence, bool drive, Decision &decision) {
   const Size queries = evidence.queries();
   Judged judged;
   judged.chances.assign(static_cast<std::size_t>(queries), std::numeric_limits<double>::quiet_NaN());
-  std::vector<Size> rivals;
+  std::vector<Size> rivals(judged.chances.size());
   for (Size query = 0; query < queries; ++query) {
     const std::shared_ptr<const Sight> alone = evidence.alone(query);
     const Sight &sight = *alone;
@@ -198,9 +200,10 @@ Judged judge(const Evidence &evidence, bool drive, Decision &decision) {
     if (decision.rows[query * decision.top] < 0) continue;
     const Chance chance = chance_of_scores(sight.scores.data(), sight.rows, sight.matching);
     judged.chances[query] = chance.chance;
-    rivals.push_back(chance.rival);
+    rivals[query] = chance.rival;
   }
-  judged.together = answers_together(rivals);
+  judged.rivals_together = rivals_together(judged.chances, rivals);
+  judged.together = answers_together(judged.rivals_together);
   return judged;
 }
 

@@ -64,7 +64,7 @@ struct PlaceModel {
   double slope = 0.25, deviation = 0.6;  // of right answers the median rate, and the deviation of its logit; drives
   double few = 2;            // power of the density of the fraction of wrong answers, if followed; drives
   double chance_nearer = 1.9;   // deviations by which the place of a followed answer is nearer by chance; counted
-  double nearer_together = 2;   // neighbouring queries that are so alike that they count as one; drives
+  double least_together = 2;    // neighbouring queries that count as one, at least; drives
   double most_nearer = 6;       // more, at which right ones are; a grid of so many levels fine enough; defined
   std::int64_t levels = 13;
   double most_ahead = 20;    // minus the logarithm of a chance, at most; by hand

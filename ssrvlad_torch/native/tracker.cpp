@@ -192,16 +192,17 @@ void Tracker::judge(const Chances &chances, Places &places, Answer &answer) {
     alone.push_back(before.alone);
     around.push_back(before.around);
     nearer.push_back(before.nearer);
-    if (!std::isnan(before.alone)) rivals.push_back(before.rival);
+    rivals.push_back(before.rival);
   }
-  double together = answers_together(rivals);
+  const std::vector<double> of_rivals = rivals_together(alone, rivals);
+  double together = answers_together(of_rivals);
   const auto last = std::min<std::ptrdiff_t>(MODEL.min_frames, static_cast<std::ptrdiff_t>(history_.size()));
   answer.followed = course_ && !std::isnan(chances.alone) &&
                     are_hardly_less_ahead({around.end() - last, around.end()}, {alone.end() - last, alone.end()});
   answer.follows = {answer.followed};
   std::vector<double> has;
   if (answer.followed) {
-    has = mapped_along(nearer);
+    has = mapped_along(nearer, of_rivals);
     together = std::max(static_cast<double>(MODEL.around), together);
     answer.scores = places.scores;
     answer.rows = places.rows;

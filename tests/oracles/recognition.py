@@ -207,13 +207,20 @@ def mean_steps(places):
     return -np.diff(means)
 
 
-def answers_together(rivals):
-    """How many neighbouring queries have one answer, by the best rivals ``(Q,)``: the mean
-    over the queries of the length of their run, whose rows are at most `SAME_PLACE_ROWS` apart. It
-    is the design effect of a sample in clusters (Kish, Survey Sampling, 1965)."""
-    apart = np.flatnonzero(np.abs(np.diff(rivals)) > SAME_PLACE_ROWS) + 1
-    lengths = [len(run) for run in np.split(np.asarray(rivals), apart)]
-    return sum(length * length for length in lengths) / len(rivals) if len(rivals) else 1.0
+def rivals_together(chances, rivals):
+    """How many neighbouring queries have the best rival ``(Q,)`` of each: the length of their run,
+    whose rows are at most `SAME_PLACE_ROWS` apart; 0 where the chance is NaN. The mean over the
+    answers is the design effect of a sample in clusters (Kish, Survey Sampling, 1965)."""
+    answered, together = np.flatnonzero(~np.isnan(chances)), np.zeros(len(chances))
+    apart = np.flatnonzero(np.abs(np.diff(np.asarray(rivals)[answered])) > SAME_PLACE_ROWS) + 1
+    for run in np.split(answered, apart):
+        together[run] = len(run)
+    return together
+
+
+def answers_together(together):
+    """How many neighbouring queries have one answer, by `rivals_together`."""
+    return together[together > 0].mean() if together.any() else 1.0
 
 
 SLOPE, DEVIATION, SHAPES = 0.25, 0.6, (1.0, 2.0)
@@ -250,19 +257,20 @@ def mapped(chances, together):
 
 
 LEVELS, MOST_NEARER = int(NUMBERS["levels"]), NUMBERS["most_nearer"]
-CHANCE_NEARER, NEARER_TOGETHER = NUMBERS["chance_nearer"], NUMBERS["nearer_together"]
+CHANCE_NEARER, LEAST_TOGETHER = NUMBERS["chance_nearer"], NUMBERS["least_together"]
 
 
-def mapped_along(nearer):
+def mapped_along(nearer, together):
     """The same of a sequence that is followed, by how many deviations the place of each answer is
     nearer to its query than all rows in the mean, NaN without one. It is normal, of deviation 1,
     about `CHANCE_NEARER` where the map lacks the place, else about a level that is as high or
-    higher; `NEARER_TOGETHER` queries count as one."""
-    values = nearer[~np.isnan(nearer)]
+    higher; queries that have one rival, at least `LEAST_TOGETHER`, count as one."""
+    answered = ~np.isnan(nearer)
+    values, lengths = nearer[answered], np.maximum(LEAST_TOGETHER, together[answered])
     ratios = [
         np.exp(
             np.minimum(((values - CHANCE_NEARER) ** 2 - (values - level) ** 2) / 2, MAX_LOG)
-            / NEARER_TOGETHER
+            / lengths
         )
         for level in CHANCE_NEARER + np.linspace(0, MOST_NEARER, LEVELS)
     ]
