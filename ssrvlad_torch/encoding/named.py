@@ -22,10 +22,10 @@ def encode_names(
     sequence: str | None = None,
     segmenter: Segmenter | None = None,
     database: Database | None = None,
-    known: Collection[str] = (),
+    left_out: Collection[str] = (),
 ) -> Iterator[Encoded | Skipped]:
-    """Encodes files one by one, each as soon as the line with its name arrives; empty lines are
-    ignored, and so are the frames ``known``. A ``poses.csv`` in or beside a file's folder is read
+    """Encodes files one by one, each as soon as the line with its name arrives; empty lines and the
+    frames that are ``left_out`` are ignored. A ``poses.csv`` in or beside a file's folder is read
     once. The sequence is named by the folder, as in the database. A segmenter labels images; else
     the files are label maps."""
     records, folders = (database.known(), database.folders()) if database else ({}, set())
@@ -47,7 +47,7 @@ def encode_names(
             file = FrameFile(sequence_of(absolute(path.parent)), path.stem, path)
             if (frame := file.frame) in records:
                 check_folder(file, records[frame])
-            if frame in known:
+            if frame in left_out:
                 continue
             posed = [with_pose(file, find)]
         except ValueError as error:

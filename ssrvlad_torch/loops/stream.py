@@ -1,7 +1,7 @@
 """Loop closures over files: folders of frames, or names that arrive one by one."""
 
 from collections import Counter
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +10,8 @@ import torch
 
 from ..channels.channel import Network
 from ..database.database import Database
-from ..datasets.frame_file import FrameFile
 from ..datasets.names import sequence_of
-from ..encoding.encoder import Describer, check_segmenter, encode, method_for
-from ..encoding.named import encode_names
+from ..encoding.encoder import Describer, check_segmenter, method_for
 from ..encoding.results import Encoded, Note, Skipped, do_nothing
 from ..evaluation.curves import Rows
 from ..evaluation.loops import loop_curve, loop_errors, score_loops, surest_point
@@ -49,33 +47,10 @@ def open_detector(
     return LoopDetector.load(database, config, head), database
 
 
-def encode_files(
-    detector: LoopDetector,
-    files: Sequence[FrameFile],
-    workers: int | None = None,
-    segmenter: Segmenter | None = None,
-) -> Iterator[Encoded | Skipped]:
-    """Encodes the files whose frames the detector does not know yet; see `encoding.encode`."""
-    fresh = [file for file in files if file.frame not in detector]
-    return encode(_describer(detector, segmenter), fresh, workers, segmenter)
-
-
-def _describer(detector: LoopDetector, segmenter: Segmenter | None) -> Describer:
-    """What describes the frames of a detector; a segmenter that does not fit is a ValueError."""
-    check_segmenter(segmenter, detector.head, detector.channels)
+def describer_of(detector: LoopDetector, network: Segmenter | None = None) -> Describer:
+    """What describes the frames of a detector; a network that does not fit is a ValueError."""
+    check_segmenter(network, detector.head, detector.channels)
     return Describer(detector.channels, detector.head.label_space, detector.columns)
-
-
-def encode_as_they_come(
-    detector: LoopDetector,
-    names: Iterable[str],
-    sequence: str | None = None,
-    segmenter: Segmenter | None = None,
-    database: Database | None = None,
-) -> Iterator[Encoded | Skipped]:
-    """Encodes files that the detector did not know at the start, see `encode_names`."""
-    describer, at_start = _describer(detector, segmenter), frozenset(detector.frames)
-    return encode_names(describer, names, sequence, segmenter, database, at_start)
 
 
 def detect_loops(

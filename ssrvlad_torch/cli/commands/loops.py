@@ -55,6 +55,8 @@ def loops(
     """
     from ...database.database import Database
     from ...datasets.names import sequence_of
+    from ...encoding.encoder import encode
+    from ...encoding.named import encode_names
     from ...encoding.plan import check_folders
     from ...encoding.source import open_frames
     from ...files import require_picture, write_picture
@@ -67,16 +69,17 @@ def loops(
     if picture:
         require_picture(picture)
     opened = open_frames(source, stored, live=live, note=note)
-    network = opened.labels_as, opened.segmenter
-    detector, database = stream.open_detector(config, memory, preset, *network, channel, note)
+    settings, network = (config, memory, preset, opened.labels_as), opened.segmenter
+    detector, database = stream.open_detector(*settings, network, channel, note)
+    describer, before = stream.describer_of(detector, network), frozenset(detector.frames)
     if live:
         names = map(os.fsdecode, sys.stdin.buffer)
-        settings = source.sequence, opened.segmenter, database
-        frames = stream.encode_as_they_come(detector, names, *settings)
+        frames = encode_names(describer, names, source.sequence, network, database, before)
     else:
         if database:
             check_folders(opened.files, database.known())
-        frames = stream.encode_files(detector, opened.files, source.workers, opened.segmenter)
+        files = [file for file in opened.files if file.frame not in before]
+        frames = encode(describer, files, source.workers, network)
     results, skipped = _printed(stream.detect_loops(detector, frames, database), as_json)
     if results or skipped or as_json or not len(detector):
         summary = stream.report(detector, results, tolerance_metres)

@@ -5,15 +5,11 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from ..options import Json, argument, option
 from ..output import finish, print_json, print_table, progress_bar, say
-
-if TYPE_CHECKING:
-    pass
 
 MISMATCH = 1
 """Exit code for a file that differs from the PyTorch module."""
