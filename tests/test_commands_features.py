@@ -48,13 +48,13 @@ def town(photos, ssrvlad):
 @pytest.fixture
 def runs(monkeypatch):
     """The number of pictures that graphs are given."""
-    pictures, run = [0], OnnxNetwork._run
+    pictures, forward = [0], OnnxNetwork.forward
 
-    def counted(network, images, names):
+    def counted(network, images, names=()):
         pictures[0] += len(images)
-        return run(network, images, names)
+        return forward(network, images, names)
 
-    monkeypatch.setattr(OnnxNetwork, "_run", counted)
+    monkeypatch.setattr(OnnxNetwork, "forward", counted)
     return pictures
 
 

@@ -10,7 +10,8 @@ from oracles import recognition as oracle
 from oracles.filter import Motion
 
 from ssrvlad_torch.native.map import DescriptorMap, Shortlist
-from ssrvlad_torch.recognition.sequences import BACKWARDS, SAME_PLACE_ROWS, Course
+from ssrvlad_torch.recognition.recognise import BACKWARDS, Course
+from ssrvlad_torch.recognition.sequences import SAME_PLACE_ROWS
 
 pytestmark = pytest.mark.usefixtures("core")
 

@@ -16,8 +16,9 @@ from ssrvlad_torch.recognition.recognise import (
     recognise,
     recognise_by_scores,
     references_of,
+    runs,
 )
-from ssrvlad_torch.recognition.sequences import runs, sharing
+from ssrvlad_torch.recognition.sequences import sharing
 from ssrvlad_torch.recognition.sweep import COLUMNS, score
 from ssrvlad_torch.recognition.temporal import temporal_sum
 

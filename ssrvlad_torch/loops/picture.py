@@ -10,7 +10,7 @@ import numpy as np
 from ..evaluation.curves import Floats, Rows
 from ..evaluation.trajectory import DARK, GRAY, draw_trajectory
 from ..files import drawn_text, new_figure
-from ..recognition.sequences import runs
+from ..recognition.recognise import runs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

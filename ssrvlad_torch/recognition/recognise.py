@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import groupby
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -13,8 +14,11 @@ from torch import Tensor
 
 from ..native.map import Decision, DescriptorMap
 from .matching import Matches, Vectors, candidates_table, checked_number, real_tensor
-from .sequences import MIN_FRAMES, Course, runs
+from .sequences import MIN_FRAMES
 from .sweep import COLUMNS
+
+FORWARDS, BACKWARDS = 1, -1
+"""Ways to run a map."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +59,28 @@ class Steps:
 AS_PAPER = Steps(standardise=False, sweep=False, follow=None)
 
 
+class Course(NamedTuple):
+    """How queries run a map: `FORWARDS` or `BACKWARDS`, at a rate in rows of the map a
+    frame, and as how many streams whose frames alternate."""
+
+    way: int = FORWARDS
+    rate: float = 1
+    streams: int = 1
+
+    def __str__(self) -> str:
+        words = (
+            "backwards" * (self.way == BACKWARDS),
+            f"at rate {self.rate:g}" * (self.rate != 1),
+            f"{self.streams} streams in turn" * (self.streams != 1),
+        )
+        return ", ".join(word for word in words if word)
+
+
 class Confidence(NamedTuple):
-    """How sure the answers to queries are.
+    """How sure the answers to queries are, from the sequence itself, see docs/concepts/equations.md.
+
+    Of wrong answers ``-log(chance)`` is exponential, of right ones gamma with a larger mean; where
+    the map lacks the place all answers are wrong, and a hidden Markov chain says where.
 
     Attributes:
         right: ``(Q,)`` float32, the probability that the first candidate is right; 0 without one,
@@ -113,6 +137,18 @@ def score_is(followed: bool, fused: bool) -> str:
     """What the scores of the candidates of a query are: probabilities if it was followed, else
     fused scores if several channels judged it, or cosines."""
     return "probability" if followed else "fused score" if fused else "cosine"
+
+
+def runs(sequences: Sequence[str]) -> Iterator[range]:
+    """Rows of each sequence; rows of one that do not stand together are a ValueError."""
+    first, names = 0, set[str]()
+    for sequence, rows in groupby(sequences):
+        if sequence in names:
+            raise ValueError(f"expected the frames of {sequence!r} together, got some at {first}")
+        names.add(sequence)
+        last = first + len(list(rows))
+        yield range(first, last)
+        first = last
 
 
 def references_of(

@@ -1,53 +1,16 @@
-"""Sequences: which frames stand together, how they run a map, and which share the mean that is
-subtracted (Schubert, Neubert and Protzel, ICRA 2020). It needs no torch."""
+"""Sequences of a map: which share the mean that is subtracted (Schubert, Neubert and Protzel, ICRA
+2020), and how near rows show one place. It needs no torch."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import groupby
-from typing import NamedTuple
 
 from ..native.headers import model
-
-
-def runs(sequences: Sequence[str]) -> Iterator[range]:
-    """Rows of each sequence; rows of one that do not stand together are a ValueError."""
-    first, names = 0, set[str]()
-    for sequence, rows in groupby(sequences):
-        if sequence in names:
-            raise ValueError(f"expected the frames of {sequence!r} together, got some at {first}")
-        names.add(sequence)
-        last = first + len(list(rows))
-        yield range(first, last)
-        first = last
-
-
-FORWARDS, BACKWARDS = 1, -1
-"""Ways to run a map."""
 
 SAME_PLACE_ROWS = int(model("Place")["near"])
 """Rows at most so far apart show the same place."""
 
-
-class Course(NamedTuple):
-    """How queries run a map: `FORWARDS` or `BACKWARDS`, at a rate in rows of the map a
-    frame, and as how many streams whose frames alternate."""
-
-    way: int = FORWARDS
-    rate: float = 1
-    streams: int = 1
-
-    def __str__(self) -> str:
-        words = (
-            "backwards" * (self.way == BACKWARDS),
-            f"at rate {self.rate:g}" * (self.rate != 1),
-            f"{self.streams} streams in turn" * (self.streams != 1),
-        )
-        return ", ".join(word for word in words if word)
-
-
 MIN_FRAMES = int(model("Place")["min_frames"])
-"""Least number of frames of a sequence whose mean is subtracted. The mean of fewer frames describes
-their place: subtracting it lowered Recall@1 of single pictures on CamVid, swept, from 0.84 to
-0.69."""
+"""Least number of frames of a sequence whose mean is subtracted: that of fewer describes a place."""
 
 
 def sharing(frames: Sequence[int]) -> dict[tuple[int, ...], tuple[int, ...]]:

@@ -23,8 +23,8 @@ from ..encoding.source import SelectedFrames
 from ..evaluation.measure import TOP
 from ..native.map import DescriptorMap
 from ..recognition.matching import checked_number
-from ..recognition.recognise import Recognised, Steps, recognise
-from ..recognition.sequences import MIN_FRAMES, runs
+from ..recognition.recognise import Recognised, Steps, recognise, runs
+from ..recognition.sequences import MIN_FRAMES
 from ..recognition.sweep import COLUMNS
 from ..recognition.temporal import temporal_sum
 from ..segmentation.segmenter import Segmenter

@@ -17,7 +17,8 @@ from ..channels.channel import Channel
 from ..database.database import Database
 from ..native.map import DescriptorMap
 from ..native.map import Shortlist as Rows
-from ..recognition.sequences import SAME_PLACE_ROWS, runs, sharing
+from ..recognition.recognise import runs
+from ..recognition.sequences import SAME_PLACE_ROWS, sharing
 from .index import Index, MapRows, read_rows
 
 MOST, LEAST, ROWS, MOST_ROWS = 300, 40, 12_000, 100_000
