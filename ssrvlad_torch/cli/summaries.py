@@ -59,15 +59,19 @@ def place_in_json(answer: Answer, of: Answers) -> dict[str, Any]:
 
 def print_estimate(answers: Answers, verbose: bool) -> None:
     """Prints how many answers are wrong, and how they were found, on stderr."""
-    used, details = answers.recognised.used, _DETAILS[verbose]
-    note(f"{estimate_in_words(answers.estimate)}. {matched_in_words(used)}; {details}")
-    if any(camera["other_view"] for camera in used.get("camera", {}).values()):
-        note(
+    used = answers.recognised.used
+    estimated, matched = estimate_in_words(answers.estimate), matched_in_words(used)
+    cameras = used.get("camera", {}).values()
+    notes = [f"{estimated}. {matched}; {_DETAILS[verbose]}"]
+    if any(camera["other_view"] for camera in cameras):
+        notes.append(
             "the field of view of the queries seems to differ from that of the map; answers may be "
             "some frames ahead or behind"
         )
     if verbose:
-        note(steps_in_words(used, answers.temporal))
+        notes.append(steps_in_words(used, answers.temporal))
+    for line in notes:
+        note(line)
 
 
 _DETAILS = {False: "details with --verbose", True: "details below"}

@@ -134,10 +134,9 @@ def schema(columns: Sequence[Column]) -> pa.Schema:
     kinds = dict.fromkeys(RECORD_COLUMNS, pa.string())
     kinds |= dict.fromkeys([*POSE, "stamp"], pa.float64())
     kinds |= {"height": pa.int32(), "width": pa.int32(), "arrival": pa.int64(), "empty": pa.bool_()}
-    kinds |= {
-        column.name: pa.list_(pa.from_numpy_dtype(column.dtype), math.prod(column.shape))
-        for column in columns
-    }
+    for column in columns:
+        numbers = pa.from_numpy_dtype(column.dtype)
+        kinds[column.name] = pa.list_(numbers, math.prod(column.shape))
     kinds["checksum"] = pa.uint64()
     return pa.schema([pa.field(name, kind, nullable=False) for name, kind in kinds.items()])
 
@@ -242,8 +241,8 @@ class StoredRecords(Mapping[str, FrameRecord]):
 
 def folders_of(table: pa.Table) -> set[tuple[str, str]]:
     """Pairs of the folder that rows were encoded from, empty if unknown, and their sequence."""
-    pairs = zip(table["signature"].to_pylist(), table["sequence"].to_pylist(), strict=True)
-    return {(folder_of(signature), sequence) for signature, sequence in pairs}
+    folders = map(folder_of, table["signature"].to_pylist())
+    return set(zip(folders, table["sequence"].to_pylist(), strict=True))
 
 
 def intact(rows: pa.Table | pa.RecordBatch) -> npt.NDArray[np.bool_]:
@@ -356,14 +355,14 @@ def in_natural_order(table: pa.Table) -> tuple[FrameSet, npt.NDArray[np.int64]]:
     """The frames of a table with `FRAME_SET_COLUMNS`, without descriptors, by sequence and name in
     natural order, and ``(R,)`` the row of each."""
     coded = pc.dictionary_encode(table["sequence"]).combine_chunks()
-    sequences, codes = coded.dictionary.to_pylist(), coded.indices.to_numpy()
-    rank = {sequence: n for n, sequence in enumerate(sorted(sequences, key=natural_key))}
-    ranks = np.array([rank[sequence] for sequence in sequences], np.int64)[codes]
+    sequences = [*map(natural_key, coded.dictionary.to_pylist())]
+    by_sequence = sorted(range(len(sequences)), key=sequences.__getitem__)
+    ranks = np.argsort(np.array(by_sequence, np.int64))[coded.indices.to_numpy()]
     names = pc.replace_substring_regex(table["frame"], "(?s)^.*/", "")
     if len(pc.unique(pc.replace_substring_regex(names, "[0-9]", "0"))) == 1:  # differ in digits
         by_name = np.asarray(pc.sort_indices(names)).astype(np.int64)  # by character, faster
     else:
-        keys = [natural_key(name) for name in names.to_pylist()]
+        keys = [*map(natural_key, names.to_pylist())]
         by_name = np.array(sorted(range(len(keys)), key=keys.__getitem__), np.int64)
     order = by_name[np.argsort(ranks[by_name], kind="stable")]
     ordered = table.take(order)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections import defaultdict
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -161,7 +162,7 @@ def encode_to_memory(
     `encode`. ``columns`` are the anchors of channels that can sweep, see `Channel.describe`;
     ``progress`` is called with 1 for each frame."""
     records, skipped = list[FrameRecord](), list[Skipped]()
-    described: dict[str, list[npt.NDArray[Any]]] = {channel.name: [] for channel in channels}
+    described = defaultdict[str, list[npt.NDArray[Any]]](list)
     for result in encode(Describer(channels, space, columns), files, workers, segmenter):
         if isinstance(result, Skipped):
             skipped.append(result)

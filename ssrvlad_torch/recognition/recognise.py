@@ -77,7 +77,7 @@ class Course(NamedTuple):
 
 
 class Confidence(NamedTuple):
-    """How sure the answers to queries are, from the sequence itself, see docs/concepts/equations.md.
+    """How sure the answers to queries are, see docs/concepts/equations.md.
 
     Of wrong answers ``-log(chance)`` is exponential, of right ones gamma with a larger mean; where
     the map lacks the place all answers are wrong, and a hidden Markov chain says where.
@@ -268,8 +268,8 @@ def _joined(
 ) -> Recognised:
     """The decisions about all sequences of queries, by their names, as one."""
     courses = dict[str, Course | None]()
-    by_sequence: dict[str, dict[str, Any]] = {n: {} for n in ("standardise", "sweep", "follow")}
-    used = {**asdict(steps), "references": references, **by_sequence, "weights": {}}
+    used: dict[str, Any] = {**asdict(steps), "references": references}
+    used |= {"standardise": {}, "sweep": {}, "follow": {}, "weights": {}}
     for name, decision in decisions.items():
         course, words = None, "no, following is no surer" if steps.follow else "no"
         if decision.follows.any():

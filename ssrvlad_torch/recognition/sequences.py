@@ -10,7 +10,7 @@ SAME_PLACE_ROWS = int(model("Place")["near"])
 """Rows at most so far apart show the same place."""
 
 MIN_FRAMES = int(model("Place")["min_frames"])
-"""Least number of frames of a sequence whose mean is subtracted: that of fewer describes a place."""
+"""Least number of frames of a sequence whose mean is subtracted."""
 
 
 def sharing(frames: Sequence[int]) -> dict[tuple[int, ...], tuple[int, ...]]:
