@@ -136,16 +136,8 @@ class Channel(ABC):
         return ""
 
     @classmethod
-    def make(cls, _head: SSRVLAD, network: Network | None) -> Self:
-        """The channel of frames that a network labels, or of label maps; the head describes label
-        maps. A ValueError if they do not have it."""
-        if problem := cls.lacks(network):
-            raise ValueError(problem)
-        return cls()
-
-    @classmethod
-    def of(cls, _column: Column, _head: SSRVLAD) -> Self:
-        """The channel of stored descriptors."""
+    def of(cls, _head: SSRVLAD, _fingerprint: str) -> Self:
+        """The channel whose descriptors have a fingerprint; the head describes label maps."""
         return cls()
 
     @abstractmethod
@@ -172,7 +164,7 @@ def channels_of(columns: Sequence[Column], head: SSRVLAD) -> list[Channel]:
     column that no channel makes, or that this version makes otherwise, is a ValueError."""
     channels = []
     for column in columns:
-        channel = _class(column.name).of(column, head)
+        channel = _class(column.name).of(head, column.fingerprint)
         if channel.column != column:
             makes = channel.column.fingerprint
             if makes == column.fingerprint:
@@ -197,7 +189,17 @@ def new_channels(
         names = [name for name in CHANNELS if not _class(name).lacks(network)]
     else:
         names = list(dict.fromkeys([LABEL_SHAPES, *names]))
-    return [_class(name).make(head, network) for name in names]
+    return [channel_of(_class(name), head, network) for name in names]
+
+
+def channel_of(kind: type[Channel], head: SSRVLAD, network: Network | None) -> Channel:
+    """The channel of a kind of frames that a network labels, or of label maps without one; a
+    ValueError if they do not have it."""
+    if problem := kind.lacks(network):
+        raise ValueError(problem)
+    if network is None or FEATURES not in kind.needs:
+        return kind.of(head, "")
+    return kind.of(head, network.fingerprint_of_features)
 
 
 def refuse_text(names: Sequence[str] | None) -> None:

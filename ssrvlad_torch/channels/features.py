@@ -9,7 +9,6 @@ from torch import Tensor
 
 from ..descriptor import SSRVLAD
 from ..stages.features import FORM, SHAPE
-from . import Column
 from .channel import FEATURES, Channel, Network, View
 
 
@@ -31,16 +30,9 @@ class Features(Channel):
         return network.problem_of_features
 
     @classmethod
-    def make(cls, _head: SSRVLAD, network: Network | None) -> Self:
+    def of(cls, _head: SSRVLAD, fingerprint: str) -> Self:
         """See `Channel`."""
-        if network is None:
-            raise ValueError(cls.lacks(network))
-        return cls(network.fingerprint_of_features)
-
-    @classmethod
-    def of(cls, column: Column, _head: SSRVLAD) -> Self:
-        """See `Channel`."""
-        return cls(column.fingerprint if column.fingerprint.startswith(FORM) else FORM)
+        return cls(fingerprint if fingerprint.startswith(FORM) else FORM)
 
     def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:
         """See `Channel`."""

@@ -11,8 +11,7 @@ from torch import Tensor
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
 from ..taxonomy import LabelSpace, label_space
-from . import Column
-from .channel import LABELS, Network, VectorChannel, View, labels_of
+from .channel import LABELS, VectorChannel, View, labels_of
 
 TORCH_THREADS = 2
 """Threads of the stages in torch: their many short operators wait for Python's global lock, which
@@ -40,12 +39,7 @@ class LabelShapes(VectorChannel):
         return None if self.head.native else TORCH_THREADS
 
     @classmethod
-    def make(cls, head: SSRVLAD, _network: Network | None) -> Self:
-        """See `Channel`."""
-        return cls(head)
-
-    @classmethod
-    def of(cls, _column: Column, head: SSRVLAD) -> Self:
+    def of(cls, head: SSRVLAD, _fingerprint: str) -> Self:
         """See `Channel`."""
         return cls(head)
 

@@ -24,6 +24,7 @@ from ..channels.channel import (
     Channel,
     Network,
     View,
+    channel_of,
     channels_of,
     new_channels,
     refuse_text,
@@ -135,7 +136,7 @@ def check_segmenter(
     """Raises a ValueError unless a segmenter has the label space of a head, and views of it have
     these channels."""
     for channel in channels:
-        current = type(channel).make(head, segmenter)
+        current = channel_of(type(channel), head, segmenter)
         if current.column != channel.column:
             raise ValueError(
                 f"stored descriptors by {channel.name} are of {channel.fingerprint}, got "
