@@ -1,6 +1,6 @@
 // How sure an answer is: beside its rivals, and among all answers of its drive.
 //
-// recognition/confidence.py explains both; tests/oracles/recognition.py says the same plainly.
+// tests/oracles/recognition.py says both plainly.
 
 #ifndef SSRVLAD_CONFIDENCE_HPP
 #define SSRVLAD_CONFIDENCE_HPP

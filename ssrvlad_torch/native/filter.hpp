@@ -22,7 +22,7 @@ constexpr std::array<double, SPEEDS> PRIOR = {0.08, 0.16, 0.34, 0.16, 0.14, 0.07
 constexpr int FORWARDS = 1, BACKWARDS = -1;  // ways to run a map
 constexpr double MOST_RATE = 100;
 
-// How a drive moves, and how much one frame counts; recognition/motion.py explains the settings.
+// How a drive moves, and how much one frame counts; recognition/recognise.py explains the settings.
 struct Motion {
   double change = MODEL.change, jump = MODEL.jump, unmapped = MODEL.unmapped, stay = MODEL.stay,
          weight = MODEL.weight, level = MODEL.level, rate = 1;
