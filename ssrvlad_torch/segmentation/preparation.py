@@ -126,7 +126,14 @@ class Preparation(nn.Module):
     """Pictures ``(B, H, W, 3)`` uint8 in RGB -> the input of a network, ``(B, 3, h, w)`` float32:
     ``nn.Sequential(Preparation(config), network, head)`` is a PyTorch module from pictures to
     descriptors, which `torch.onnx.export` traces for any size. Pictures are resized by the
-    antialiased bilinear filter, as of Pillow and of the ONNX operator ``Resize``."""
+    antialiased bilinear filter, as of Pillow and of the ONNX operator ``Resize``.
+
+    Examples:
+        >>> import torch
+        >>> from ssrvlad_torch.segmentation.preparation import Preparation, SegmenterConfig
+        >>> Preparation(SegmenterConfig(size=(64, 128)))(torch.zeros(1, 9, 9, 3)).shape
+        torch.Size([1, 3, 64, 128])
+    """
 
     def __init__(self, config: SegmenterConfig) -> None:
         super().__init__()

@@ -42,6 +42,12 @@ class SoftSSRVLAD(nn.Module):
     Raises:
         ValueError: the aggregation is another; the temperature is not above 0; `SSRVLAD` refuses
             the input; the input is a label map, or the largest score of a pixel is infinite.
+
+    Examples:
+        >>> import torch
+        >>> from ssrvlad_torch.soft.descriptor import SoftSSRVLAD
+        >>> scores = torch.randn(2, 19, 60, 80, requires_grad=True)
+        >>> SoftSSRVLAD()(scores)[0].sum().backward()
     """
 
     def __init__(self, config: SSRVLADConfig | None = None, temperature: float = 1.0) -> None:

@@ -7,7 +7,6 @@ share the projections, so a picture that is moved by cells has moved signs, and 
 mirrored signs. Not in the paper."""
 
 import hashlib
-from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -49,8 +48,15 @@ class Features(nn.Module):
         - output: ``(B, 16, 16, 16)`` uint8, see `SHAPE`.
 
     Raises:
-        ValueError: an activation is not finite, or does not vary over the picture, as where it is
-            all zero. A graph cannot raise: there all signs are 0, which no other picture has.
+        ValueError: an activation has another shape, is not finite, or does not vary over the
+            picture, as where it is all zero. A graph cannot raise: there all signs are 0, which
+            no other picture has.
+
+    Examples:
+        >>> import torch
+        >>> from ssrvlad_torch.stages.features import Features
+        >>> Features(torch.rand(2, 3, 24, 32))(torch.rand(1, 3, 24, 32)).shape
+        torch.Size([1, 16, 16, 16])
     """
 
     def __init__(self, *noise: Tensor) -> None:
@@ -58,7 +64,7 @@ class Features(nn.Module):
         self.channels = [level.shape[1] for level in noise]
         self.projections: Tensor
         self.bits: Tensor
-        table = projections(unit_cells(_checked_means(noise)))
+        table = projections(unit_cells(self._checked_means(noise)))
         self.register_buffer("projections", table, persistent=False)
         self.register_buffer("bits", 2.0 ** torch.arange(8).float(), persistent=False)
 
@@ -73,7 +79,7 @@ class Features(nn.Module):
         if is_exporting:
             means = list(map(cell_means, activations))
         else:
-            means = _checked_means(activations)
+            means = self._checked_means(activations)
         signs = unit_cells(means).permute(0, 3, 2, 1) @ self.projections > 0
         if is_exporting:
             usable = torch.stack([is_usable(level) for level in means]).all(0)
@@ -81,15 +87,20 @@ class Features(nn.Module):
         packed: Tensor = signs.unflatten(3, (-1, 8)).float() @ self.bits
         return packed.to(torch.uint8)
 
-
-def _checked_means(activations: Sequence[Tensor]) -> list[Tensor]:
-    means = list(map(cell_means, activations))
-    for level in means:
-        if not bool(level.isfinite().all()):
-            raise ValueError("the activations of the network are not finite")
-        if not bool(is_usable(level).all()):
-            raise ValueError("the activations of the network are the same everywhere")
-    return means
+    def _checked_means(self, activations: tuple[Tensor, ...]) -> list[Tensor]:
+        channels = [values.shape[1] if values.ndim == 4 else -1 for values in activations]
+        if channels != self.channels:
+            shapes = ", ".join(str(tuple(values.shape)) for values in activations) or "nothing"
+            raise ValueError(
+                f"expected activations (B, C, h, w) of {self.channels} channels, got {shapes}"
+            )
+        means = list(map(cell_means, activations))
+        for level in means:
+            if not bool(level.isfinite().all()):
+                raise ValueError("the activations of the network are not finite")
+            if not bool(is_usable(level).all()):
+                raise ValueError("the activations of the network are the same everywhere")
+        return means
 
 
 def cell_means(activations: Tensor) -> Tensor:
