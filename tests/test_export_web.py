@@ -246,7 +246,7 @@ def test_a_frame_that_is_chosen_is_shown_and_one_that_is_torn_is_skipped(
     drop(page, "?model=drive.onnx&database=drive.npy", tmp_path / "today")
     told = re.fullmatch(r"33 frames, \d+ ms each; skipped (.*)", page.run(STATUS))
     assert told and told[1].startswith("1 of 34 frames: today/40.png: ")
-    steps = steps_in_words(lines[0]["steps"])
+    steps = steps_in_words(lines[0]["steps"] | {"camera": {}})  # the page does not look at it
     assert page.run(STEPS) == re.sub(r"sweep \S+ columns", "no sweep", steps)
     assert "features 0.9" in steps
     button = "document.querySelectorAll('#places button')[7]"
