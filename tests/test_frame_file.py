@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import torch
 from helpers import refuses, street, write_street
+from networks import write_photos, write_settings
+from networks import write_street as write_network
 from pyarrow.fs import FileSystem, copy_files
 
 from ssrvlad_torch import SSRVLAD
@@ -102,3 +104,27 @@ def test_label_maps_of_a_bucket_are_encoded_into_a_bucket(bucket, ssrvlad, tmp_p
     user, settings = "nobody:nothing@", f"?scheme=http&endpoint_override={host}"
     arguments[0] = f"s3://{user}town/maps/monday{settings}"  # neither is stored
     assert "5 already there" in ssrvlad("encode", *arguments, "--engine", engine)[1]
+
+
+def test_pictures_of_a_bucket_give_the_rows_of_local_files(
+    bucket, ssrvlad, tmp_path, monkeypatch, engine
+):
+    """A network labels them; features and HOG are stored as for pictures here."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    write_photos(tmp_path / "monday", size=(96, 128))
+    files, place = FileSystem.from_uri(f"{bucket}/pictures")
+    copy_files(str(tmp_path / "monday"), f"{place}/monday", destination_filesystem=files)
+    settings = write_settings(tmp_path)
+    write_network(tmp_path / "net.onnx")
+    network = ("--segmenter", settings, "--labels-as", "camvid-11", "--segmenter-cache")
+    here, there = str(tmp_path / "here"), f"{bucket}/there"
+    assert ssrvlad("encode", tmp_path / "monday", "-o", here, *network, tmp_path / "a")[0] == 0
+    pictures = f"{bucket}/pictures/monday"
+    options = ("-o", there, *network, tmp_path / "b", "--engine", engine)
+    code, out, _ = ssrvlad("encode", pictures, *options)
+    assert code == 0 and "5 frames encoded (0 of them empty)" in out
+    expected, stored = Database.open(here).load(), Database.open(there).load()
+    assert stored.frames == expected.frames
+    assert list(stored.channels) == ["ssr-vlad", "features", "hog"]
+    for name, channel in stored.channels.items():
+        assert torch.equal(channel, expected.channels[name])

@@ -288,3 +288,15 @@ def test_network_and_head_in_two_files(coloured, tmp_path, run):
 
 def test_channels_are_trusted_as_in_the_package():
     assert {channel.name: channel.trust for channel in (LabelShapes, HOG, Features)} == TRUST
+
+
+def test_unknown_ids_are_counted_and_skipped(head, maps, tmp_path, run):
+    labels = np.zeros((20, 30), np.uint8)
+    labels[3, :7] = 200
+    Image.fromarray(labels).save(maps / "strange.png")
+    code, out, errors = run(head, maps, "--save-descriptors", tmp_path / "out.npy")
+    assert code == 3
+    assert errors[0].endswith("7 of 600 pixels have an id outside label space camvid-11")
+    assert errors[1] == "skipped 1 of 7 frames"
+    assert "strange" not in out + Path(f"{tmp_path / 'out.npy'}.frames.txt").read_text()
+    assert len(np.load(tmp_path / "out.npy")) == 6

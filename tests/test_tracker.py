@@ -121,6 +121,17 @@ def test_a_state_is_of_its_map_and_its_settings_and_whole():
             other.load(content)
 
 
+def test_only_rows_that_are_allowed_are_candidates():
+    """Long after the caller has let the mask go, from the first answer on."""
+    rows = 100_000
+    town = DescriptorMap([rows])
+    town.add("v", np.ones((rows, 2), np.float32) / np.float32(np.sqrt(2)))
+    tracker = DescriptorTracker(town, allowed=np.arange(rows) >= rows - 8)
+    others = [np.full(rows, number, np.uint8) for number in range(20)]  # take freed memory
+    _, decision = tracker.update({"v": np.ones(2, np.float32)})
+    assert others and decision.rows.min() >= rows - 8
+
+
 def without(vectors, mean):
     return unit(unit(vectors) - mean)
 

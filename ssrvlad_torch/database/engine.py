@@ -111,7 +111,10 @@ def unreadable(uri: str, version: int | None, error: OSError) -> str:
                 open_table(uri, earlier)
                 return f"{problem}; --as-of {earlier} reads an earlier version"
         return problem
-    stored = stored or [entry.version for entry in history(open_table(uri))]
+    with contextlib.suppress(OSError):
+        stored = stored or [entry.version for entry in history(open_table(uri))]
+    if not stored:
+        return problem
     if version in stored:
         return f"{uri} is damaged in version {version}: {error}"
     span = " to ".join(map(str, dict.fromkeys((stored[0], stored[-1]))))

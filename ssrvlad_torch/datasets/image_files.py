@@ -109,8 +109,8 @@ def pixels_of(picture: Picture) -> Pixels:
 
 
 def write_pictures(folder: Path, files: Sequence[FrameFile]) -> None:
-    """Writes images under names with their positions, see `write_name`: hard links or copies, and
-    PNGs of rows. A folder that is not empty, and an image without a pose, are a ValueError."""
+    """Writes images that have poses under names with their positions, see `write_name`: hard links
+    or copies, and PNGs of rows. A folder that is not empty is a ValueError."""
     empty_folder(folder)
     for file in files:
         name = write_name(file.frame.replace("/", "_"), file.pose, file.stamp)

@@ -1,6 +1,7 @@
 """Frames of video files, by their presentation times. Needs the extra ``video``."""
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -104,26 +105,34 @@ class _Video:
         return _upright(frame)
 
     def _decoded(self, start: int | None) -> Iterator[tuple[float, Any]]:
-        """Times and frames from the key frame before a time. A decoder makes up what damage hides,
-        also in later frames, so those after damage are left out up to the next key frame."""
+        """Times and frames, from the key frame before a time or from the first. A decoder conceals
+        damage, and frames that depend on a concealed one decode without an error: all that come
+        after damage are left out up to the next key frame."""
         container, stream = self._opened()
         if start is not None and not self._counts:
             container.seek(start, stream=stream)
-        context, times, is_damaged = stream.codec_context, iter(self.times), True
+        context = stream.codec_context
         context.thread_type = "NONE"  # else the damage that it reports depends on their timing
         context.options = {"err_detect": "explode"}
+        keys, damaged, times = list[int](), {0}, iter(self.times)  # 0: before the first key frame
         for packet in chain((p for p in container.demux(stream) if p.size), [None]):
-            is_damaged |= packet is not None and packet.is_corrupt
+            if packet and packet.is_keyframe:
+                keys.append(packet.pts)
             try:
                 frames = context.decode(packet)
             except self._error:
-                is_damaged, frames = True, []
+                frames = []
+                damaged.add(len(keys))
+            if packet and packet.is_corrupt:
+                damaged.add(len(keys))
             for frame in frames:
-                is_damaged = frame.is_corrupt or (is_damaged and not frame.key_frame)
-                if is_damaged and self._counts:
+                group = len(keys) if self._counts else bisect_right(keys, frame.pts)
+                if frame.is_corrupt:
+                    damaged.add(group)
+                if self._counts and len(damaged) > 1:
                     return
-                if not is_damaged:
-                    yield next(times, math.inf) if self._counts else frame.pts, frame
+                if group not in damaged:
+                    yield (next(times, math.inf) if self._counts else frame.pts), frame
 
     def _opened(self) -> tuple[Any, Any]:
         import av

@@ -8,6 +8,7 @@
 namespace places {
 
 namespace {
+constexpr Size STATE = 2;  // what a state holds, and how; it rises with every change
 constexpr double NO_ANSWER = std::numeric_limits<double>::quiet_NaN();
 
 bool same(const Course &one, const Course &other) {
@@ -219,7 +220,7 @@ void Tracker::judge(const Chances &chances, Places &places, Answer &answer) {
 
 // Of the map, its rows, and the steps.
 std::uint64_t Tracker::digest() const {
-  const Size steps[] = {top_, delay_, standardised_, swept_};
+  const Size steps[] = {STATE, top_, delay_, standardised_, swept_};
   return digest_of(allowed_.data(), allowed_.size(), digest_of(steps, sizeof steps, map_.digest()));
 }
 

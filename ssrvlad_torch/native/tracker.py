@@ -52,8 +52,8 @@ class DescriptorTracker:
         self._settings = standardise, sweep, "online", delay, top
         self._town, self._threads, core = town, threads, required()
         nothing = {name: town.no_queries(name) for name in town.channels}
-        steps = Call(town, nothing, self._settings, allowed, None).steps
-        self._tracker = core.ssrvlad_tracker_new_for(number("INTERFACE"), town.address, steps)
+        call = Call(town, nothing, self._settings, allowed, None)  # it holds what steps point to
+        self._tracker = core.ssrvlad_tracker_new_for(number("INTERFACE"), town.address, call.steps)
         if not self._tracker:
             raise ValueError(last_error())
         weakref.finalize(self, core.ssrvlad_tracker_free, ctypes.c_void_p(self._tracker))
@@ -100,10 +100,11 @@ class DescriptorTracker:
         save(self._tracker, state.ctypes.data, size)
         return state.tobytes()
 
-    def load(self, state: bytes) -> None:
+    def load(self, state: bytes | bytearray) -> None:
         """Goes on from a state that `save` gave. One of another map or with other settings, a
         damaged one, and a tracker that has seen a query are a ValueError."""
-        require(required().ssrvlad_tracker_load(self._tracker, state, len(state)), "the state")
+        load = required().ssrvlad_tracker_load
+        require(load(self._tracker, bytes(state), len(state)), "the state")
 
     def _answer(self, name: str, *arguments: Any) -> tuple[int, Decision] | None:
         target = Target(1, self._settings[-1], self._town.channels)

@@ -295,5 +295,6 @@ def _joined(
     settled = torch.ones_like(follows)
     if steps.follow == "online":
         lengths = [len(decision.follows) for decision in decisions.values()]
-        settled = torch.tensor([n >= MIN_FRAMES for length in lengths for n in range(length)])
+        numbers = [n for length in lengths for n in range(length)]
+        settled = torch.tensor(numbers, dtype=torch.int64) >= MIN_FRAMES
     return Recognised(matches, confidence, used, courses, follows, kinds, settled)
