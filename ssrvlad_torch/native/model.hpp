@@ -1,13 +1,13 @@
 // The numbers that shape where a query is said to be and how sure that is, and whether a frame of a live stream
 // closes a loop. `frames` are those of a query's sequence or of the stream, `rows` those of the map. Each number
-// says how it was obtained:
+// says how it was obtained; what half and twice of those of places cost is in docs/research/half-twice.csv:
 //
 //   defined   follows from what it means
 //   drives    chosen on every fifth of the real cases of the page on confidence and on cities 0 to 5
 //   motion    chosen on UofA, Gardens Point, CamVid and a city, each by the other three
 //   counted   counted in the same cases as `drives`
 //   pairs     chosen on the first four pairs of two drives on the page on loops, and on tours of cities
-//   by hand   a round number; half and twice were not tried unless it is said
+//   by hand   a round number
 
 #ifndef SSRVLAD_MODEL_HPP
 #define SSRVLAD_MODEL_HPP
