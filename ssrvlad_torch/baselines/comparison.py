@@ -17,7 +17,7 @@ from ..datasets.dataset import Dataset, DatasetFrame, GroundTruth
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import read_image
 from ..datasets.label_files import read_label_map
-from ..datasets.layouts import ROLES
+from ..datasets.sides import ROLES
 from ..evaluation.ground_truth import Viewpoints, true_matches
 from ..evaluation.measure import TOP, Recognition, measure
 from ..evaluation.metrics import Convention

@@ -41,8 +41,8 @@ struct PlaceModel {
   double by_rows = 0.5;      // of the gain that may be left in a random order; by hand, after a table was seen
   double trailing = 10;      // gain by which a course trails and rests; by hand, for speed
   double as_before = 0.5;    // of the gain with which the likeliest must go on, else rested courses do; by hand
-  double least_rate = 0.1;     // of that a query: random frames gain 0 to 0.1; label maps of four pairs
-  double behind = 1;           // how much less ahead, as the logarithm of a chance, answers may be than alone; so too
+  double least_rate = 0.1;   // the same a query, of a course that is taken: random frames gain 0 to 0.1; four pairs
+  double behind = 1;         // how much less ahead than alone, as the logarithm of a chance, answers may be; so too
   std::int64_t memory = 200;          // answers by which an answer online is judged; by hand
   std::int64_t replayed = 60;         // frames with which a new course online begins; by hand
 

@@ -71,7 +71,7 @@ def compare(
     from ...baselines.comparison import ComparisonSettings
     from ...baselines.comparison import compare as compared
     from ...datasets.dataset import GroundTruth
-    from ...datasets.layouts import open_sides
+    from ...datasets.sides import open_sides
     from ...encoding.results import Skipped
 
     methods = _make([name.strip() for name in method.split(",")], settings or ())
