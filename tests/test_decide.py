@@ -6,6 +6,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.lib.stride_tricks import sliding_window_view
 from oracles import recognition as oracle
 from oracles.filter import Motion
 
@@ -267,6 +268,17 @@ def test_no_queries_and_no_rows_give_no_candidates(shape):
     decision = decide(np.zeros(shape, np.float32), [shape[1]] if shape[1] else [], top=2)
     assert decision.rows.shape == (shape[0], 2) and (decision.rows == -1).all()
     assert not decision.right.any() and not decision.followed
+
+
+@pytest.mark.parametrize("mode", ["online", "offline"])
+@pytest.mark.parametrize("rows", [100, 10_000])
+def test_nothing_is_sure_where_a_map_lacks_all_places(rows, mode):
+    """Whatever its size: how near chance places are does not grow with it."""
+    for seed in range(3):
+        drawn = np.random.default_rng(seed).normal(size=(83, rows + 4))
+        near = sliding_window_view(drawn, (4, 5)).mean((2, 3))  # neighbours are alike
+        decision = decide((1 - np.exp(-0.3 - 0.2 * near)).astype(np.float32), mode=mode)
+        assert decision.right.max() < 0.9
 
 
 @pytest.mark.parametrize("score", [np.nan, np.inf, 5.0])
