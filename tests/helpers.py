@@ -244,10 +244,12 @@ def write_maps(folder: Path, seeds: range) -> Path:
     return folder
 
 
-def write_map(ssrvlad, path, *maps):
-    """A database of label maps of cities, also in NumPy's form as ``path``."""
+def write_map(ssrvlad, path, *sources, segmenter=None):
+    """A database of label maps of cities, or of what a network sees in pictures; also in NumPy's
+    form as ``path``."""
     database = path.with_suffix(".ssrdb")
-    assert ssrvlad("encode", *maps, "-o", database, "--labels-as", "cityscapes-trainids")[0] == 0
+    kind = ("--segmenter", segmenter) if segmenter else ("--labels-as", "cityscapes-trainids")
+    assert ssrvlad("encode", *sources, "-o", database, *kind)[0] == 0
     assert ssrvlad("db", "export", database, "--format", "npy", "-o", path)[0] == 0
     return database
 

@@ -15,17 +15,12 @@ import pytest
 import torch
 import torch.nn.functional as F
 from drawings import SPACE
-from helpers import street, write_image
+from helpers import street, write_image, write_map
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig
-from ssrvlad_torch.channels.channel import new_channels
-from ssrvlad_torch.datasets.image_files import find_image_files
+from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.deployment.fuse import fuse
-from ssrvlad_torch.encoding.encoder import encode_to_memory
-from ssrvlad_torch.recognition.recognise import Steps
-from ssrvlad_torch.search.exact import recognise_in
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter, SegmenterConfig
 from ssrvlad_torch.taxonomy import colourise, label_space, palette
@@ -152,7 +147,6 @@ def write_graph(
     dtype: str = "float",
     labels: bool = False,
     channels_last: bool = False,
-    scores_last: bool = False,
     aux: bool = False,
     external: bool = False,
     white: float = 1.0,
@@ -162,10 +156,9 @@ def write_graph(
     """The colour network as an ONNX graph, node by node; ``dtype`` is a key of ``DTYPES``.
 
     With ``labels`` the output is int64 ids ``(B, 1, H, W)``, of one picture ``alone`` ``(H, W)``;
-    ``quantised`` it is int8 class scores. Input and output, or with
-    ``scores_last`` the output alone, have their channels last. ``aux`` adds an output of wrong
-    scores, ``external`` stores the weights beside the file, both as links to other names, as in the
-    cache of the Hugging Face hub, ``white`` is the brightest pixel.
+    ``quantised`` it is int8 class scores. With ``channels_last`` input and output are so, ``aux``
+    adds an output of wrong scores, ``external`` stores the weights beside the file, both as links
+    to other names, as in the cache of the Hugging Face hub, ``white`` is the brightest pixel.
     """
     network = colour_network(white)
     weights = {"weight": network.weight.numpy(), "bias": network.bias.numpy()}
@@ -187,7 +180,7 @@ def write_graph(
             helper.make_node("OneHot", ["ids", "depth", "ends"], ["hot"], axis=1),
             helper.make_node("Cast", ["hot"], ["found"], to=TensorProto.INT8),
         ]
-    elif channels_last or scores_last:
+    elif channels_last:
         nodes.append(helper.make_node("Transpose", ["classes"], ["found"], perm=[0, 2, 3, 1]))
     else:
         nodes.append(helper.make_node("Identity", ["classes"], ["found"]))
@@ -340,33 +333,6 @@ def write_moved_drives(ssrvlad, drives, folder, exported):
     for seed in range(2, 35):
         pixels = np.roll(photo(street(seed, 96, 128)), 14, axis=1)
         write_image(folder / "today" / f"{seed}.png", pixels)
-    network = ("--segmenter", folder / "net.yaml")
-    database = folder / "town"
-    ssrvlad("encode", folder / "monday", "-o", database, *network, "--labels-as", "camvid-11")
-    ssrvlad("db", "export", database, "--format", "npy", "-o", exported)
-    return ("query", database, folder / "today", *network, "--json")
-
-
-def write_town(folder, path, top=5):
-    """The database of ``monday`` in NumPy's form; the frames and scores of the candidates of the
-    photos of ``today``, judged alone by all channels."""
-    segmenter = Segmenter.load(folder / "net.yaml")
-    head = SSRVLAD(SSRVLADConfig(labels_as="camvid-11"))
-    channels = new_channels(None, head, segmenter)
-    (today, _), (monday, _) = (
-        encode_to_memory(channels, head.label_space, files, 1, segmenter=segmenter)
-        for drive in ("today", "monday")
-        for files in [find_image_files([str(folder / drive)])]
-    )
-    ends = ("", ".features.npy", ".hog.npy")
-    for end, values in zip(ends, monday.channels.values(), strict=True):
-        np.save(f"{path}{end}", values.numpy())
-    Path(f"{path}.frames.txt").write_text("".join(f"{frame}\n" for frame in monday.frames))
-    for end, channel in zip(ends, channels, strict=True):
-        Path(f"{path}{end}.fingerprint.txt").write_text(f"{channel.column.fingerprint}\n")
-    steps = Steps(standardise=False, follow=None)
-    matches = recognise_in(monday, today, channels, steps, top).matches
-    return [
-        ([monday.frames[row] for row in rows], scores)
-        for scores, rows in zip(matches.scores.tolist(), matches.indices.tolist(), strict=True)
-    ]
+    network = folder / "net.yaml"
+    database = write_map(ssrvlad, exported, folder / "monday", segmenter=network)
+    return ("query", database, folder / "today", "--segmenter", network, "--json")

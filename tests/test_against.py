@@ -112,17 +112,6 @@ def test_a_fused_file_is_compared_with_its_network(folder):
     assert by_size(found) == {(128, 128): True, (256, 384): False, (512, 768): True}
 
 
-def test_arguments_that_cannot_be_compared_are_refused(folder, refusal):
-    write_graph(folder / "net.onnx")
-    for arguments, message in (
-        (("net.onnx", "--against", "net.onnx"), "net.onnx is an ONNX file; expected the network"),
-        (("test_against:half", "--against", "net.onnx"), "is no ONNX file; expected the one"),
-        (("net.onnx", "--against", "x:y", "--labels", "maps"), "do not go with --against"),
-        (("net.onnx", "--against", "nothing:y"), "no network 'nothing:y'"),
-    ):
-        assert message in refusal("verify", *arguments)
-
-
 def test_fuse_says_that_a_traced_graph_depends_on_the_size(tmp_path):
     config, network = SSRVLADConfig(labels_as=SPACE), Pooled()
     message = (

@@ -3,7 +3,6 @@
 import io
 import json
 import os
-import shlex
 import signal
 import subprocess
 import sys
@@ -12,7 +11,7 @@ import time
 import numpy as np
 import pytest
 from drawings import SPACE
-from helpers import assert_no_reader_is_no_error, outcome, write_maps, write_photos
+from helpers import assert_no_reader_is_no_error, outcome, write_maps
 from networks import photo, write_settings
 from networks import write_photos as write_streets
 from PIL import Image
@@ -85,60 +84,6 @@ def test_a_closed_stream_is_the_null_device(database, maps, tmp_path, closed):
     assert len(Database.open(database).load()) == 6
 
 
-CAMVID = "--labels-as camvid-11"
-NONE = f"-o none {CAMVID}"
-EVALUATE = "evaluate town.ssrdb monday"
-
-WRONG_USES = [
-    ("verify none.onnx", "ssrvlad: none.onnx does not exist; expected an ONNX graph"),
-    ("fly", "No such command 'fly'"),
-    (f"encode {NONE}", "Missing argument"),
-    (f"encode '' {NONE}", "the argument after encode is empty; expected a text"),
-    (f"encode monday {NONE} --sequence=", "--sequence is empty; expected a text"),
-    ("db compact town.ssrdb --keep-days inf", "--keep-days': Input should be less than or"),
-    ("fuse none.onnx -o none/p.onnx --labels-as camvid-11", "there is no folder"),
-    ("encode monday -o none", "expected the label space of the label maps, --labels-as"),
-    ("query town.ssrdb monday --top 0", "'--top': Input should be greater than or equal to 1"),
-    (f"encode none {NONE}", "none does not exist"),
-    (f"export {NONE} --size 8", "--size 8: expected rows and columns, such as 512x1024"),
-    (f"encode jpegs {NONE}", "jpegs holds images and no label maps; name the network"),
-    ("city monday", "monday is not empty; expected a new or an empty folder"),
-    (f"encode monday {NONE} --start 99", "no sequence has a frame 99; the longest has 6 frames"),
-    (
-        f"{EVALUATE} --tolerance-frames 1 --tolerance-metres 5",
-        "expected one of --ground-truth, --tolerance-metres and --tolerance-frames, got 2",
-    ),
-    (EVALUATE, "got 0 of them"),
-    (
-        f"{EVALUATE} --tolerance-frames 1 --tolerance-degrees 5",
-        "--tolerance-degrees needs --tolerance-metres",
-    ),
-    (
-        "query town.ssrdb monday --min-confidence nan",
-        "'--min-confidence': Input should be less than or",
-    ),
-    (f"{EVALUATE} --max-wrong 0.1 --min-confidence 0.5", "leave out --min-confidence"),
-    (f"show photo.png -o x.png {CAMVID}", "is not in label space camvid-11; is this a photo"),
-    (f"show monday -o x.png {CAMVID}", "ssrvlad: monday: expected one frame, got 6"),
-]
-
-
-@pytest.mark.parametrize(("line", "message"), WRONG_USES)
-def test_wrong_use_is_one_line_and_exit_code_2(
-    refusal, request, maps, tmp_path, monkeypatch, line, message
-):
-    if "town.ssrdb" in line:
-        request.getfixturevalue("database")
-    (tmp_path / "folder").mkdir()
-    write_photos(tmp_path / "jpegs", range(1), ".jpg")
-    (tmp_path / "file").write_text("no folder")
-    write_photos(tmp_path, range(1)).joinpath("000.png").rename(tmp_path / "photo.png")
-    monkeypatch.chdir(tmp_path)
-    refused = refusal(*shlex.split(line))
-    assert refused.startswith("ssrvlad: ") and message in refused
-    assert not (tmp_path / "none").exists()
-
-
 TERMINAL = (
     "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
     "from ssrvlad_torch.cli.main import main; main()"
@@ -156,7 +101,7 @@ def test_ctrl_c_during_an_import_is_exit_code_130(module):
         "sys.meta_path.insert(0, Interrupts)\n"
     )
     command = sys.executable, "-c", program + TERMINAL, "export", "-o", "none/head.onnx"
-    code, _, err = outcome(*command, *CAMVID.split())
+    code, _, err = outcome(*command, "--labels-as", "camvid-11")
     assert (code, err) == (130, ["ssrvlad: interrupted"])
 
 
@@ -177,7 +122,8 @@ def test_a_signal_ends_a_run_and_done_frames_are_stored(tmp_path, segmenter, num
     Image.fromarray(photo(labels) if segmenter else labels).save(first)
     for frame in range(2000):
         (tmp_path / "drive" / f"{frame}.png").symlink_to(first)
-    command = [sys.executable, "-c", TERMINAL, "encode", "drive", "-o", "db", *CAMVID.split()]
+    words = ("encode", "drive", "-o", "db", "--labels-as", "camvid-11")
+    command = [sys.executable, "-c", TERMINAL, *words]
     with subprocess.Popen(
         [*command, *segmenter],
         cwd=tmp_path,

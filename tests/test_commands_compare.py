@@ -1,6 +1,5 @@
 """`ssrvlad compare`: one data set, many methods."""
 
-import pytest
 from helpers import write_truth
 
 CAMVID = ("--labels-as", "camvid-11")
@@ -42,36 +41,3 @@ def test_the_tables_show_metrics_costs_and_what_did_not_run(ssrvlad, two_drives)
     assert "6 queries (6 with a true match) against 6 references, convention exact" in out
     code, out, err = ssrvlad("compare", two_drives, "--method", "label-grid")
     assert (code, len(err), "not run" in out, "bytes" in out) == (3, 1, True, False)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ("--method hog --references town/query", "or folders as --references and --queries"),
-        (
-            "--method hog --references town/query --queries a --layout auto",
-            "--layout needs the folder of",
-        ),
-        (
-            "--method hog --references town/query/images --queries town/reference/images",
-            "town/query/images and town/reference/images both have a sequence 'images'; expected",
-        ),
-        (
-            "--method hog --references town/reference --references town/query "
-            "--queries town/../town/query",
-            "both have a sequence 'query'; expected two folders of different names",
-        ),
-        ("town --method hog --set rows=3", "--set: expected METHOD.NAME=VALUE for one of hog, got"),
-        ("town --method hog --set cohog.size=3", "for one of hog, got 'cohog.size'"),
-        ("town --method hog --set hog.rows=2", "method hog: got an unexpected keyword argument"),
-        ("town --method ssr-vlad --set ssr-vlad.temporal=many", "cannot take temporal='many'"),
-        ("town/query --method hog", "does not say which of query is a reference; name it"),
-        ("town --method hog --tolerance-metres 5", "no reference has a pose"),
-        ("none --method hog", "none is no folder"),
-        ("town --method hog --set rows", "--set: expected NAME=VALUE, got 'rows'"),
-        ("town", "Missing option '--method'"),
-    ],
-)
-def test_wrong_use_is_one_line(refusal, two_drives, monkeypatch, arguments, message):
-    monkeypatch.chdir(two_drives.parent)
-    assert message in refusal("compare", *arguments.split())

@@ -5,7 +5,6 @@ import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -157,25 +156,6 @@ def test_images_and_a_segmenter_give_what_label_maps_give(
     options = ["--tolerance-frames", 1, "--json", "--channel", "ssr-vlad", *alike]
     code, out, _ = ssrvlad("evaluate", database, photos, *options, *segmenter)
     assert (code, out) == (0, ssrvlad("evaluate", db, tmp_path / "monday", *options)[1])
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ("--segmenter none.onnx", "none.onnx does not exist or is not a file"),
-        ("--segmenter monday/000.png", "no network 'monday/000.png'; expected FILE.onnx"),
-        ("--segmenter-cache cache", "--segmenter-cache needs --segmenter"),
-        ("--engine ray --gpus 1", "--gpus needs --engine ray and --segmenter"),
-        ("--segmenter net.yaml --gpus 1", "--gpus needs --engine ray and --segmenter"),
-    ],
-)
-def test_wrong_use_of_a_segmenter_is_one_line(
-    refusal, photos, tmp_path, monkeypatch, options, message
-):
-    monkeypatch.chdir(tmp_path)
-    arguments = ["monday", "-o", "db", "--labels-as", "camvid-11", *options.split()]
-    assert message in refusal("encode", *arguments)
-    assert not Path("db").exists()
 
 
 def test_a_network_of_other_classes_is_refused_at_its_first_picture(ssrvlad, photos, tmp_path):

@@ -109,7 +109,7 @@ def test_a_followed_sequence_has_the_beliefs_of_forward_and_backward(sequence):
         return
     motion = Motion().at(decision.rate)
     for stream in streams_of(decision, scores):
-        beliefs = oracle.follow(scores[stream], names, motion, decision.way, len(scores))
+        beliefs = oracle.follow(scores[stream], names, motion, decision.way)
         for query, belief in zip(stream, beliefs, strict=True):
             places = decision.rows[query][decision.rows[query] >= 0]
             values = belief[places]

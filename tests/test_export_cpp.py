@@ -1,25 +1,21 @@
 """The programs in C++: what they read and refuse; their answers are held to the core by
 conformance/. See `built.user` for what they need."""
 
-import base64
 import json
-import math
 import re
 import shutil
 import signal
 import subprocess
-import zlib
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 import run_onnx
 import torch
-from exported import edit_golden, turned, without_property, write_categories
+from exported import write_categories
 from helpers import assert_each_is_one_line, outcome, street
 from loop_streams import SEEDS, assert_same_answers, objects
-from networks import photo, write_town
+from networks import photo
 from PIL import Image
 from ssrvlad_place.database import save
 from ssrvlad_place.model import Description
@@ -153,70 +149,6 @@ def test_wrong_use_is_one_line(build, head, bad, monkeypatch, program):
         for line, message in WRONG_USE[program]
     ]
     assert_each_is_one_line(partial(outcome, build / program), table, silent=False)
-
-
-def test_channels_of_another_network_or_of_one_side_only(place, drives, tmp_path):
-    town, turned_signs = tmp_path / "town.npy", tmp_path / "turned.onnx"
-    write_town(drives, town)
-    np.save(tmp_path / "photo.npy", np.asarray(Image.open(drives / "today" / "5.png")))
-    plain = without_property(drives / "place.onnx", tmp_path / "plain.onnx", "hog")
-    code, lines, (line,) = place(plain, tmp_path / "photo.npy", town)
-    assert (code, len(lines)) == (0, 6)
-    assert line == f"only {town} has hog: frames are matched without; fuse the file again"
-    Path(f"{town}.features.npy.fingerprint.txt").write_text("others\n")
-    code, _, (line,) = place(drives / "place.onnx", tmp_path / "photo.npy", town)
-    assert code == 2 and "features.npy has fingerprint others, the model 16 x 16" in line
-    Path(f"{town}.features.npy").unlink()
-    code, lines, (line,) = place(drives / "place.onnx", tmp_path / "photo.npy", town)
-    assert (code, len(lines)) == (0, 6)
-    assert line == "only the model has features: frames are matched without"
-    edit_golden(drives / "place.onnx", turned_signs, turned("features"))
-    code, _, (line,) = place(turned_signs, tmp_path / "photo.npy")
-    assert code == 2 and " % of its features differ" in line and " 0.000000 % of its lab" in line
-
-
-def test_a_runtime_that_gets_the_golden_pair_wrong_is_refused(place, coloured, tmp_path):
-    head = edit_golden(coloured / "head.onnx", tmp_path / "head.onnx", turned("labels"))
-    fused = edit_golden(coloured / "place.onnx", tmp_path / "place.onnx", turned("image"))
-    net = edit_golden(coloured / "net.onnx", tmp_path / "net.onnx", turned("image"))
-    photograph = tmp_path / "photo.npy"
-    np.save(photograph, photo(street(1, 60, 90)))
-    for model in (
-        [fused],
-        ["--network", coloured / "net.onnx", head],
-        ["--network", net, coloured / "head.onnx"],
-    ):
-        code, lines, (line,) = place(*model, photograph)
-        assert (code, lines) == (2, [])
-        assert "is computed wrong here: the golden pair differs by" in line
-        assert place("--unchecked", *model, photograph)[0] == 0
-
-
-def as_bytes(golden):
-    """Records the descriptor as numbers of one byte."""
-    content = zlib.compress(bytes(math.prod(golden["descriptor"]["shape"])))
-    golden["descriptor"].update(dtype="uint8", data=base64.b64encode(content).decode())
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda golden: golden["labels"].update(shape=[1 << 20, 1 << 20]), "than 64 MiB"),
-        (lambda golden: golden["labels"].update(shape=[-1]), "the golden pair is damaged"),
-        (lambda golden: golden["labels"].update(data="AAAA"), "the golden pair is damaged"),
-        (lambda golden: golden["labels"].update(dtype="text"), "the golden pair is damaged"),
-        (lambda golden: golden.pop("labels"), "no golden pair for input labels"),
-        (lambda golden: golden.update(labels=3), "no golden pair for input labels"),
-        (lambda golden: golden.pop("descriptor"), "no golden pair for input labels"),
-        (as_bytes, "is computed wrong here"),
-    ],
-)
-def test_a_damaged_golden_pair_is_one_line(place, coloured, tmp_path, change, message):
-    edit_golden(coloured / "head.onnx", tmp_path / "x.onnx", change)
-    np.save(tmp_path / "map.npy", np.zeros((4, 5), np.uint8))
-    code, _, (line,) = place(tmp_path / "x.onnx", tmp_path / "map.npy")
-    assert code == 2
-    assert message in line and "x.onnx" in line
 
 
 DESCR, ORDER = "'descr': '|u1', ", "'fortran_order': False, "

@@ -13,7 +13,7 @@ from drawings import SPACE
 from exported import edit_golden, turned
 from helpers import COLOUR, GRAY, PALETTES, street, write_map, write_maps, write_palette, write_png
 from loop_streams import objects
-from networks import photo, write_moved_drives, write_town
+from networks import photo, write_moved_drives
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from ssrvlad_place.database import save
@@ -184,9 +184,9 @@ def test_a_photograph_goes_into_a_fused_file(page, site, coloured):
     assert failure(page).startswith("alpha.png: the picture has transparent pixels")
 
 
-def test_features_of_one_side_only_and_of_another_network(page, site, drives):
+def test_features_of_one_side_only_and_of_another_network(page, site, drives, ssrvlad):
     shutil.copy(drives / "place.onnx", site / "street.onnx")
-    write_town(drives, site / "town.npy")
+    write_map(ssrvlad, site / "town.npy", drives / "monday", segmenter=drives / "net.yaml")
     shutil.copy(drives / "today" / "5.png", site / "street.png")
     query = "?model=street.onnx&database=town.npy&labels=street.png"
     open_result(page, query)

@@ -208,22 +208,6 @@ def test_a_picture_is_drawn(loops, drive, tmp_path, poses):
         assert image.width == (1100 if poses else 550)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["-", "other"], "takes no other SOURCE"),
-        (["-", "--poses", "p.csv"], "takes no other SOURCE, no --layout, --poses, --topic"),
-        (["-", "--segmenter-cache", "x"], "--segmenter-cache needs --segmenter"),
-        (["-", "--threshold", "nan"], "Invalid value for '--threshold'"),
-        (["-", "--exclude", "-1"], "greater than or equal to 0"),
-    ],
-)
-def test_wrong_use_is_one_line(loops, arguments, message):
-    code, out, err = loops(*arguments, settings=())
-    assert (code, out, len(err)) == (2, "", 1)
-    assert message in err[0]
-
-
 def test_nothing_on_stdin_is_no_error(loops):
     code, out, err = loops("-")
     assert (code, out.splitlines()[0], err) == (0, "0 frames: nothing", [])

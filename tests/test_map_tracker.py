@@ -144,18 +144,3 @@ def test_pictures_whose_names_arrive_are_labelled_by_the_network_of_the_map(
     assert [a["candidates"][0]["frame"] for a in answers] == ["photos/2", "photos/5"]
     assert [len(a["candidates"]) for a in answers] == [8, 8]
     assert answers[0]["settled"] is False and {*answers[0]["poses"][0]} == {"x", "y", "heading"}
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ((), "SOURCE - answers as frames come: expected --follow online, got offline"),
-        (("--follow", "online", "--temporal", 2), "SOURCE - takes no --temporal"),
-        (("--follow", "online", "--max-wrong", 0.1), "SOURCE - takes no --max-wrong"),
-        (("--follow", "online", "--exclude", 2), "SOURCE - takes no --exclude"),
-        (("--follow", "online", "--every", 2), "SOURCE - takes no other SOURCE, no --layout"),
-    ],
-)
-def test_what_names_that_arrive_cannot_have_is_refused(drawn, refusal, arrive, options, message):
-    arrive()
-    assert message in refusal("query", drawn.path, "-", *options)

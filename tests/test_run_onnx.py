@@ -9,7 +9,7 @@ import loops_onnx
 import numpy as np
 import pytest
 import run_onnx
-from exported import edit_golden, turned, without_property
+from exported import edit_golden, without_property
 from helpers import (
     assert_each_is_one_line,
     assert_no_reader_is_no_error,
@@ -60,25 +60,6 @@ def test_it_runs_without_torch(head, maps, town):
     assert [line["candidates"][0]["frame"] for line in objects("\n".join(lines))] == [
         f"monday/{n:03d}" for n in range(6)
     ]
-
-
-def test_features_of_one_side_only_and_of_another_network(drives, tmp_path, run):
-    town = tmp_path / "town.npy"
-    frames = (drives / "today" / "5.png",)
-    assert run(drives / "place.onnx", drives / "monday", "--save-descriptors", town)[0] == 0
-    marker = Path(f"{town}.features.npy.fingerprint.txt")
-    own = marker.read_text()
-    marker.write_text("others\n")
-    code, _, (line,) = run(drives / "place.onnx", *frames, "--database", town)
-    assert code == 2
-    assert f"features.npy has fingerprint others, the model {own.strip()}" in line
-    Path(f"{town}.features.npy").unlink()
-    code, out, (line,) = run(drives / "place.onnx", *frames, "--database", town)
-    assert (code, out.startswith("today/5: monday/")) == (0, True)
-    assert line == "only the model has features: frames are matched without"
-    plain = without_property(drives / "place.onnx", tmp_path / "plain.onnx", "hog")
-    line = run(plain, *frames, "--database", town)[2][-1]
-    assert line == f"only {town} has hog: frames are matched without; fuse the file again"
 
 
 def test_a_database_of_another_fingerprint_is_refused(head, maps, town, run):
@@ -185,34 +166,6 @@ def test_a_file_of_another_format_is_refused(head, maps, tmp_path, run, ssrvlad)
     for code, _, (line,) in (run(old, maps), ssrvlad("verify", old)):
         assert code == 2
         assert "old.onnx: a file of format 1; expected 2: export it again" in line
-
-
-def test_a_runtime_that_gets_the_golden_pair_wrong_is_refused(head, maps, coloured, tmp_path, run):
-    wrong = edit_golden(head, tmp_path / "wrong.onnx", turned("labels"))
-    code, out, (line,) = run(wrong, maps)
-    assert (code, out) == (2, "")
-    assert "wrong.onnx is computed wrong here (largest difference for the golden pair: " in line
-    assert run(wrong, maps, "--unchecked")[:2] == run(head, maps)[:2]
-    edit_golden(coloured / "net.onnx", wrong, turned("image"))
-    np.save(tmp_path / "a.npy", photo(street(3, 60, 90)))
-    code, _, (line,) = run(coloured / "head.onnx", tmp_path / "a.npy", "--network", wrong)
-    assert code == 2 and "wrong.onnx is computed wrong here" in line
-    assert "% of the pixels have another label" in line
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda golden: golden["labels"].update(shape=[1 << 20, 1 << 20]), "at most 64 MiB"),
-        (lambda golden: golden.pop("labels"), "no golden pair for input labels"),
-        (lambda golden: golden.pop("descriptor"), "no golden pair for input labels"),
-        (lambda golden: golden["labels"].update(data="AAAA"), "run_onnx: "),
-    ],
-)
-def test_a_damaged_golden_pair_is_one_line(head, maps, tmp_path, run, change, message):
-    code, _, (line,) = run(edit_golden(head, tmp_path / "x.onnx", change), maps)
-    assert code == 2
-    assert message in line
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loop_streams import objects
 
-from ssrvlad_torch import Database, Map, SSRVLADConfig
+from ssrvlad_torch import Map
 from ssrvlad_torch.database.frames import FrameSet
 from ssrvlad_torch.datasets.names import sequence_of, split_id
 from ssrvlad_torch.files import natural_key
@@ -46,12 +46,6 @@ def test_label_maps_of_two_spaces_are_told_apart(ssrvlad, database, maps, tmp_pa
     assert ssrvlad("query", database, maps)[::2] == refusal
     assert ssrvlad("encode", other, "-o", database)[::2] == refusal
     assert ssrvlad("query", database, maps, "--labels-as", "camvid-11")[0] == 0
-
-
-def test_a_database_without_frames(ssrvlad, maps, tmp_path):
-    db = tmp_path / "bare.ssrdb"
-    Database.create(db, SSRVLADConfig(labels_as="camvid-11"))
-    assert ssrvlad("query", db, maps)[::2] == (2, [f"ssrvlad: {db} holds no frames yet"])
 
 
 def test_the_frames_of_another_database_are_named_apart(ssrvlad, database, tmp_path):
@@ -143,17 +137,6 @@ def test_commands_say_where_candidates_are(ssrvlad, posed, tmp_path):
         for some in (near[2:], near)
     ]
     assert found[0] == 1 and found[1] < 1, "places outside are not found"
-
-
-def test_commands_refuse_in_one_line(refusal, database, maps, posed, tmp_path):
-    expected = "ssrvlad: near: expected X,Y,METRES, three finite numbers"
-    assert refusal("query", "none.ssrdb", maps, "--near", "1,2").startswith(expected)
-    assert "--near" not in refusal("query", database, maps, "--near", "-1,2,3")
-    no_poses = f"ssrvlad: near: expected candidates with poses, {database} has none"
-    assert refusal("query", database, maps, "--near", "1,2,3") == no_poses
-    today = write_maps(tmp_path / "later" / "today", range(6))  # no table of poses beside it
-    line = refusal("query", posed.path, today, "--near", "0,90,3")
-    assert line.endswith("is within 3 m of 0, 90; the nearest is 90.0 m away")
 
 
 # ---- selection of references

@@ -147,19 +147,3 @@ def test_roles_and_truth_come_from_the_data_set(ssrvlad, city, reference, tmp_pa
 )
 def test_a_selection_that_means_nothing_is_refused(paths, settings, message):
     refuses(message, FrameSelection, paths, **settings)
-
-
-WRONG = [
-    ("--layout auto --split nope", "city has no sequence 'nope'; it has query, ref"),
-    ("--split query", "--split, --role and --labels need --layout, such as --layout auto"),
-    ("--layout synthia", "city is not in the layout synthia: expected"),
-    ("--layout kitti", "unknown layout 'kitti'; expected one of extended-cmu"),
-    ("--layout auto --role loop", "'loop' is not one of 'reference', 'query'"),
-    ("--layout auto --labels nowhere", "label maps in nowhere need a label space"),
-]
-
-
-def test_wrong_use_of_a_data_set_is_one_line(refusal, city, reference):
-    for options, message in WRONG:
-        for command in ("query", "evaluate"):
-            assert message in refusal(command, reference, city, *options.split())

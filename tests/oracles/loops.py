@@ -158,14 +158,7 @@ class Tracks:
 
 # ------------------------------------------------------------------------------------- the stream
 
-MOTION = Motion(
-    LOOPS["change"],
-    LOOPS["jump"],
-    LOOPS["unmapped"],
-    NUMBERS["stay"],
-    LOOPS["weight"],
-    NUMBERS["level"],
-)
+MOTION = Motion(**{name: LOOPS[name] for name in ("change", "jump", "unmapped", "weight")})
 FITS, LEAST_KNOWN = int(LOOPS["fits"]), int(LOOPS["least_known"])
 STRIDE, RECENT = int(LOOPS["stride"]), int(LOOPS["recent"])
 RADIUS_ROWS, MAX_PLACES = 5, 5
@@ -300,13 +293,10 @@ class Loops:
         explained = np.repeat(np.array(self.explained), np.diff(self.starts)) / deviation
         weight, fit = self.fit()
         earlier = exp(weight * (z[:start] - np.maximum(fit, explained)))
-        likely = exp(LOOPS["evidence"] / level * (same - level))
-        repeats = (self.repeats.highest[: len(same)] - mean) * LOOPS[
-            "repeat_margin"
-        ] / deviation - level
-        likely[:candidates] *= np.exp(-LOOPS["evidence"] / level * np.maximum(0, repeats))[
-            :candidates
-        ]
+        evidence, margin = LOOPS["evidence"] / level, LOOPS["repeat_margin"] / deviation
+        likely = exp(evidence * (same - level))
+        repeats = (self.repeats.highest[: len(same)] - mean) * margin - level
+        likely[:candidates] *= np.exp(-evidence * np.maximum(0, repeats))[:candidates]
         if self.tracks.returning:
             likely[:candidates] = np.maximum(likely, exp(weight * (same - fit)))[:candidates]
         return np.concatenate((earlier, likely))
@@ -315,12 +305,9 @@ class Loops:
         """The weight and the level of rows of another stretch."""
         enough = len(self.channels) > 1 and len(self.fits) >= LEAST_KNOWN
         level = LOOPS["fit"] * np.median(self.fits) if enough else 0.0
-        raised = level > MOTION.level
-        return (
-            (LOOPS["fit_weight"] * MOTION.weight, level)
-            if raised
-            else (MOTION.weight, MOTION.level)
-        )
+        if level > MOTION.level:
+            return LOOPS["fit_weight"] * MOTION.weight, level
+        return MOTION.weight, MOTION.level
 
     def result(self, rows, scores, old):
         """The step, by the probabilities of the rows."""

@@ -133,9 +133,8 @@ def emissions(model, scores):
     return [model.emission(emission(row, model.motion)) for row in scores]
 
 
-def follow(scores, sequences, motion, way, later):
-    """Of each query ``(Q, R)`` probabilities of the rows, given all earlier queries and so many
-    later ones: forward-backward."""
+def follow(scores, sequences, motion, way):
+    """Of each query ``(Q, R)`` probabilities of the rows, given all queries: forward-backward."""
     model = Model(tuple(sequences), motion, (way,))
     beliefs, seen = [], emissions(model, scores)
     for now in seen:
@@ -143,15 +142,10 @@ def follow(scores, sequences, motion, way, later):
         beliefs.append(model.updated(before, now)[0])
     none = np.ones(len(model.start()))
     futures = [none]
-    for query in reversed(range(len(seen) - 1)):
-        last = min(len(seen) - 1, query + later)
-        # with all later queries, the future of the next one is known already
-        future, first = (futures[-1], query + 1) if last == len(seen) - 1 else (none, last)
-        for now in seen[first:query:-1]:
-            future = model.before(future * now)
-            future = future / future.max() if future.max() >= LEAST_TOTAL else none
-        futures.append(future)
-    both = [belief * future for belief, future in zip(beliefs, futures[::-1], strict=False)]
+    for now in seen[:0:-1]:
+        future = model.before(futures[-1] * now)
+        futures.append(future / future.max() if future.max() >= LEAST_TOTAL else none)
+    both = [belief * future for belief, future in zip(beliefs, futures[::-1], strict=True)]
     possible = [
         states if states.sum() >= LEAST_TOTAL else belief
         for states, belief in zip(both, beliefs, strict=True)
