@@ -9,7 +9,7 @@ from __future__ import annotations
 import ctypes
 import math
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +18,11 @@ import numpy.typing as npt
 from . import last_error, require, required
 from .addresses import address
 from .headers import number, struct
+
+_INTERFACE = number("INTERFACE")
+_Drives, _Shortlist, _Channel = struct("drives"), struct("shortlist"), struct("channel")
+_Queries, _Steps = struct("queries"), struct("steps")
+_Decision, _Taken = struct("decision"), struct("taken")
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.floating[Any]]
@@ -94,6 +99,10 @@ class Shortlist(NamedTuple):
 class DescriptorMap:
     """The rows of a map by one or several channels.
 
+    Attributes:
+        frames: the number of frames of the map.
+        channels: the rows of each channel by its name, ``None`` of scores.
+
     Args:
         frames: the number of frames of each sequence of the map, in its order.
         shortlist: the rows that are there, if not all.
@@ -113,26 +122,26 @@ class DescriptorMap:
     """
 
     def __init__(self, frames: Sequence[int], shortlist: Shortlist | None = None) -> None:
-        core, interface = required(), number("INTERFACE")
+        core = required()
         starts = np.cumsum([0, *frames], dtype=np.int64)
         self.frames, self._count, self._means = int(starts[-1]), int(starts[-1]), len(frames)
-        drives = struct("drives")(starts.ctypes.data, len(frames), self.frames)
+        drives = _Drives(starts.ctypes.data, len(frames), self.frames)
         if shortlist is None:
-            self._map = core.ssrvlad_map_new_for(interface, drives)
+            self._map = core.ssrvlad_map_new_for(_INTERFACE, drives)
         else:
             rows = np.ascontiguousarray(shortlist.rows, np.int64)
             means = np.ascontiguousarray(shortlist.means, np.int64)
             weights = np.ascontiguousarray(shortlist.weights, np.float64)
             self._count, self._means = len(rows), len(means)
             first = address(weights, rows.shape, "float64")
-            listed = struct("shortlist")(
+            listed = _Shortlist(
                 rows.ctypes.data, first, self._count, means.ctypes.data, self._means
             )
-            self._map = core.ssrvlad_map_of_for(interface, drives, listed)
+            self._map = core.ssrvlad_map_of_for(_INTERFACE, drives, listed)
         if not self._map:
             raise ValueError(last_error())
         weakref.finalize(self, core.ssrvlad_map_free, ctypes.c_void_p(self._map))
-        self._channels: dict[str, Array | None] = {}
+        self.channels: dict[str, Array | None] = {}
         self._of_sequences: list[Array | None] = []
 
     def __len__(self) -> int:
@@ -156,8 +165,8 @@ class DescriptorMap:
         Raises:
             ValueError: the rows are no such array, not one for each frame, or not finite.
         """
-        new = name not in self._channels
-        _expect(name, ", ".join(self._channels), new, "a name that is new")
+        new = name not in self.channels
+        _expect(name, ", ".join(self.channels), new, "a name that is new")
         array, first, kind, shape = None, None, _SCORES, (1, 1, 1)
         if rows is not None:
             array = _checked(rows, name)
@@ -179,9 +188,9 @@ class DescriptorMap:
                 name, means.shape, means.size == size, f"means of {self._means} parts of the map"
             )
             of_means = means.ctypes.data
-        channel = struct("channel")(first, kind, *shape, trust, of_means)
+        channel = _Channel(first, kind, *shape, trust, of_means)
         require(required().ssrvlad_map_add_channel(self._map, channel), name)
-        self._channels[name] = array
+        self.channels[name] = array
         self._of_sequences.append(means)
 
     def query(
@@ -217,7 +226,12 @@ class DescriptorMap:
         """
         call = Call(self, queries, (standardise, sweep, follow, delay, top), allowed, excluded)
         target = Target(call.count, top, self.channels)
-        call.run("ssrvlad_map_query", threads, target.decision, target)
+        require(
+            required().ssrvlad_map_query(
+                *(self._map, call.queries, call.count, call.steps, threads),
+                *(target.decision, target.steps),
+            )
+        )
         return target.decided()
 
     def compare(
@@ -234,13 +248,13 @@ class DescriptorMap:
         call = Call(self, queries, (standardise, sweep, None, 0, 1), allowed, excluded)
         scores = np.empty((call.count, self._count), np.float32)
         target = Target(0, 1, self.channels)
-        call.run("ssrvlad_map_compare", threads, scores.ctypes.data, target)
+        require(
+            required().ssrvlad_map_compare(
+                *(self._map, call.queries, call.count, call.steps, threads),
+                *(scores.ctypes.data, target.steps),
+            )
+        )
         return scores, target.taken()
-
-    @property
-    def channels(self) -> list[str]:
-        """Their names."""
-        return [*self._channels]
 
     @property
     def address(self) -> int:
@@ -249,7 +263,7 @@ class DescriptorMap:
 
     def no_queries(self, name: str) -> Array:
         """An array of no queries of a channel."""
-        rows = self._channels[name]
+        rows = self.channels[name]
         return np.empty((0, len(self)), np.float32) if rows is None else rows[:0]
 
 
@@ -260,7 +274,7 @@ class Target:
         decision, steps: for the core, ``ssrvlad_decision`` and ``ssrvlad_taken``.
     """
 
-    def __init__(self, count: int, top: int, channels: Sequence[str]) -> None:
+    def __init__(self, count: int, top: int, channels: Collection[str]) -> None:
         self._arrays: dict[str, Array] = {
             "scores": np.empty((count, top), np.float32),
             "rows": np.empty((count, top), np.int64),
@@ -270,8 +284,8 @@ class Target:
             "follows": np.empty(count, np.bool_),
         }
         self._channels, self._weights = channels, (ctypes.c_double * len(channels))()
-        self.decision = struct("decision")()
-        self.steps = struct("taken")(weights=ctypes.addressof(self._weights))
+        self.decision = _Decision()
+        self.steps = _Taken(weights=ctypes.addressof(self._weights))
         for name, array in self._arrays.items():
             setattr(self.decision, name, array.ctypes.data)
 
@@ -288,7 +302,12 @@ class Target:
 
 
 class Call:
-    """The queries of one sequence and the steps, as the core takes them."""
+    """The queries of one sequence and the steps, as the core takes them.
+
+    Attributes:
+        queries, count, steps: for the core, ``ssrvlad_queries`` by each channel, how many there
+            are, and ``ssrvlad_steps``.
+    """
 
     def __init__(
         self,
@@ -298,56 +317,47 @@ class Call:
         allowed: Array | None,
         excluded: Array | None,
     ) -> None:
-        if [*queries] != [*town._channels] or not queries:
-            expected, got = (", ".join(names) or "none" for names in (town._channels, queries))
+        channels = town.channels
+        if [*queries] != [*channels] or not queries:
+            expected, got = (", ".join(names) or "none" for names in (channels, queries))
             raise ValueError(f"expected queries by {expected}, got {got}")
         standardise, sweep, follow, delay, top = steps
         _expect("follow", follow, follow in MODES, ", ".join(map(str, MODES)))
         _expect("delay", delay, delay >= 0, "at least 0")
         _expect("top", top, top >= 1, "at least 1")
-        self._town = town
-        self._arrays = {name: self._array(name, array) for name, array in queries.items()}
-        counts = {name: len(array) for name, array in self._arrays.items()}
-        self.count = next(iter(counts.values()))
+        self._arrays, counts = list[Array | None](), dict[str, int]()  # the core reads them
+        self.queries = (_Queries * len(channels))()
+        for place, (name, rows) in enumerate(channels.items()):
+            array, anchors = _queries_of(name, queries[name], rows, len(town))
+            self.queries[place] = array.ctypes.data, anchors
+            self._arrays.append(array)
+            counts[name] = self.count = len(array)
         _expect("queries", counts, len(set(counts.values())) == 1, "one number by all channels")
-        self._masks = (
-            _of_shape("allowed", allowed, np.uint8, (len(town),)),
-            _of_shape("excluded", excluded, np.int64, (self.count, 2)),
+        self.steps = _Steps(standardise, sweep, MODES[follow], delay, top)
+        if allowed is not None:
+            allowed = _of_shape("allowed", allowed, np.uint8, (len(town),))
+            self.steps.allowed = allowed.ctypes.data
+        if excluded is not None:
+            excluded = _of_shape("excluded", excluded, np.int64, (self.count, 2))
+            self.steps.excluded = excluded.ctypes.data
+        self._arrays += allowed, excluded
+
+
+def _queries_of(name: str, queries: Array, rows: Array | None, count: int) -> tuple[Array, int]:
+    """Queries of a channel with these rows, or without any as scores of so many, and the number of
+    their anchors."""
+    if rows is None:
+        return _of_shape(name, queries, np.float32, (len(queries), count)), 1
+    array = _checked(queries, name)
+    swept = rows.dtype == np.float32 and array.ndim > rows.ndim
+    fits = array.dtype == rows.dtype and array.shape[1 + swept :] == rows.shape[1:]
+    if not fits or (swept and array.shape[1] % 2 == 0):
+        expected = ", ".join(map(str, rows.shape[1:]))
+        raise ValueError(
+            f"{name}: expected queries (Q, {expected}) {rows.dtype}, of vectors also (Q, S, D) "
+            f"with an odd S, got {array.shape} {array.dtype}"
         )
-        masks = (None if mask is None else mask.ctypes.data for mask in self._masks)
-        self.steps = struct("steps")(standardise, sweep, MODES[follow], delay, top, *masks)
-
-    def queries(self) -> Any:
-        """The queries by each channel, for the core."""
-        arrays = self._arrays.items()
-        addresses = ((array.ctypes.data, self._anchors(name)) for name, array in arrays)
-        return (struct("queries") * len(arrays))(*addresses)
-
-    def run(self, name: str, threads: int, results: Any, target: Target) -> None:
-        """Calls a function of the core that fills results, and the steps of a target."""
-        passed = self._town.address, self.queries(), self.count, self.steps, threads, results
-        require(getattr(required(), name)(*passed, target.steps))
-
-    def _array(self, name: str, queries: Array) -> Array:
-        rows = self._town._channels[name]
-        if rows is None:
-            scores = _of_shape(name, queries, np.float32, (len(queries), len(self._town)))
-            assert scores is not None
-            return scores
-        array = _checked(queries, name)
-        anchors = array.ndim - rows.ndim if rows.dtype == np.float32 else 0
-        fits = array.dtype == rows.dtype and array.shape[1 + anchors :] == rows.shape[1:]
-        if not fits or (anchors == 1 and array.shape[1] % 2 == 0):
-            expected = ", ".join(map(str, rows.shape[1:]))
-            raise ValueError(
-                f"{name}: expected queries (Q, {expected}) {rows.dtype}, of vectors also (Q, S, D) "
-                f"with an odd S, got {array.shape} {array.dtype}"
-            )
-        return array
-
-    def _anchors(self, name: str) -> int:
-        rows, queries = self._town._channels[name], self._arrays[name]
-        return queries.shape[1] if rows is not None and queries.ndim > rows.ndim else 1
+    return array, array.shape[1] if swept else 1
 
 
 def _expect(name: str, got: object, fits: bool, expected: str) -> None:
@@ -355,11 +365,7 @@ def _expect(name: str, got: object, fits: bool, expected: str) -> None:
         raise ValueError(f"{name}: expected {expected}, got {got!r}")
 
 
-def _of_shape(
-    name: str, values: Array | None, kind: type[np.generic], shape: tuple[int, ...]
-) -> Array | None:
-    if values is None:
-        return None
+def _of_shape(name: str, values: Array, kind: type[np.generic], shape: tuple[int, ...]) -> Array:
     array = np.ascontiguousarray(values, kind)
     _expect(name, array.shape, array.shape == shape, f"shape {shape}")
     return array

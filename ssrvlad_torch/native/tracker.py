@@ -80,7 +80,7 @@ class DescriptorTracker:
         """
         one = {name: np.asarray(array)[None] for name, array in queries.items()}
         call = Call(self._town, one, self._settings, None, None)
-        return self._answer("ssrvlad_tracker_update", call.queries(), ctypes.c_int(self._threads))
+        return self._answer("ssrvlad_tracker_update", call.queries, ctypes.c_int(self._threads))
 
     def finish(self) -> list[tuple[int, Decision]]:
         """The answers to the queries that wait for later ones, by those that there are."""
