@@ -11,13 +11,13 @@ from networks import write_photos, write_settings
 
 from ssrvlad_torch import Database
 from ssrvlad_torch.channels import CHANNELS
-from ssrvlad_torch.channels.channel import VectorChannel, picture_of
+from ssrvlad_torch.channels.channel import Channel, picture_of
 
 
-class Brightness(VectorChannel):
+class Brightness(Channel):
     """The mean of each cell of a picture, minus that of the picture."""
 
-    name, length, trust = "brightness", 24, 3.0
+    name, shape, trust = "brightness", (24,), 3.0
     fingerprint = "4 x 6 means"
 
     def describe(self, views, columns=()):

@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..channels.channel import LABELS, PICTURE, VectorChannel, View, batches, labels_of, picture_of
+from ..channels.channel import LABELS, PICTURE, Channel, View, batches, labels_of, picture_of
 from ..channels.features import Features
 from ..channels.hog import HOG, grays
 from ..channels.label_shapes import LabelShapes
@@ -26,7 +26,7 @@ from ..taxonomy import CATEGORIES, LabelSpace, label_space
 from .protocol import noting
 
 
-class VectorMethod(VectorChannel):
+class VectorMethod(Channel):
     """A channel of vectors as a method: of length 1, or zero for an empty frame. Queries and
     references are described alike, in batches."""
 
@@ -76,7 +76,7 @@ class LabelGrid(VectorMethod):
     that the grid does not divide share pixels; pixels of no category count in a cell's size."""
 
     rows, columns = 6, 10
-    name, length = "label-grid", len(CATEGORIES) * rows * columns
+    name, shape = "label-grid", (len(CATEGORIES) * rows * columns,)
     needs = frozenset({LABELS})
 
     def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:

@@ -32,7 +32,7 @@ class NetVLAD(VectorMethod):
     def __init__(self, weights: str | Path | None = None) -> None:
         file = find_weights(weights, _FILES, "github.com/Nanne/pytorch-NetVlad")
         self._network = read_netvlad(file)
-        self.length = self._network.length
+        self.shape = (self._network.length,)
 
     def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:
         """See `Channel`."""

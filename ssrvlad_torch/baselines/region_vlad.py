@@ -45,7 +45,7 @@ class RegionVLAD(VectorMethod):
         origin = "github.com/Ahmedest61/CNN-Region-VLAD-VPR"
         path = find_weights(vocabulary, [f"Vocabulary_{regions}.pkl"], origin)
         self._words = read_vocabulary(path, (str(regions), str(words), "conv3"), (words, 384))
-        self.length = self._words.numel()
+        self.shape = (self._words.numel(),)
 
     def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:
         """See `Channel`."""

@@ -60,12 +60,12 @@ class StoredDescriptors(VectorMethod):
             raise ValueError(f"{self.name}: {group} fits {twins}; expected more of the path")
         with self._opened() as stored:
             arrays = {frame: np.asarray(stored[f"{group_of[frame]}/{_KEY}"]) for frame in frames}
-        self.length = next(iter(arrays.values())).size
+        self.shape = (next(iter(arrays.values())).size,)
         for frame, array in arrays.items():
             finite = array.dtype.kind == "f" and np.isfinite(array).all()
-            if array.shape != (self.length,) or not finite:
+            if array.shape != self.shape or not finite:
                 raise ValueError(
-                    f"{self.name}: {group_of[frame]}/{_KEY} must be ({self.length},) finite "
+                    f"{self.name}: {group_of[frame]}/{_KEY} must be {self.shape} finite "
                     f"floats, got {array.shape} {array.dtype}"
                 )
             self._vectors[frame] = F.normalize(torch.from_numpy(array.astype(np.float32)), dim=0)

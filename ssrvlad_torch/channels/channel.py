@@ -147,18 +147,6 @@ class Channel(ABC):
         what the channel needs, or cannot be described, is a ValueError."""
 
 
-class VectorChannel(Channel):
-    """A channel of vectors of length 1, or zero for an empty frame. A subclass defines ``name``,
-    ``length`` and `describe`."""
-
-    length: int
-
-    @property
-    def shape(self) -> tuple[int, ...]:  # type: ignore[override]
-        """See `Channel`."""
-        return (self.length,)
-
-
 def channels_of(columns: Sequence[Column], head: SSRVLAD) -> list[Channel]:
     """The channels whose descriptors are in columns of a database; ``head`` describes label maps. A
     column that no channel makes, or that this version makes otherwise, is a ValueError."""

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .channel import VectorChannel, View, picture_of
+from .channel import Channel, View, picture_of
 
 _LUMA = (19595, 38470, 7471)
 """Weights of red, green and blue, parts of 65536."""
@@ -66,13 +66,13 @@ ROWS, COLUMNS, ORIENTATIONS = 6, 10, 8
 """Of the grid of cells, and directions of a histogram."""
 
 
-class HOG(VectorChannel):
+class HOG(Channel):
     """One histogram of gradient directions for each of 6 x 10 cells.
 
     The gray picture is resized to 16 pixels a cell; histograms are those of ``skimage.feature.hog``
     with one cell a block and ``block_norm="L2"``. The whole descriptor has length 1."""
 
-    name, length = "hog", ORIENTATIONS * ROWS * COLUMNS
+    name, shape = "hog", (ORIENTATIONS * ROWS * COLUMNS,)
     fingerprint = f"{ROWS} x {COLUMNS} cells, {ORIENTATIONS} directions"
     trust = 2.0
 
@@ -81,7 +81,7 @@ class HOG(VectorChannel):
         return self.histograms(grays(views, self.name))
 
     def histograms(self, pictures: Tensor) -> Tensor:
-        """``(B, length)`` float32 of gray pictures ``(B, H, W)`` uint8."""
+        """``(B, *shape)`` float32 of gray pictures ``(B, H, W)`` uint8."""
         small = resize(pictures, CELL * ROWS, CELL * COLUMNS).float()
         along_x = F.pad(small[:, :, 2:] - small[:, :, :-2], (1, 1))
         along_y = F.pad(small[:, 2:] - small[:, :-2], (0, 0, 1, 1))

@@ -11,14 +11,14 @@ from torch import Tensor
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
 from ..taxonomy import LabelSpace, label_space
-from .channel import LABELS, VectorChannel, View, labels_of
+from .channel import LABELS, Channel, View, labels_of
 
 TORCH_THREADS = 2
 """Threads of the stages in torch: their many short operators wait for Python's global lock, which
 the native core and the decoders of images release."""
 
 
-class LabelShapes(VectorChannel):
+class LabelShapes(Channel):
     """The descriptors of a head, on its device. Views may have other label spaces than the head:
     their descriptors compare."""
 
@@ -28,7 +28,7 @@ class LabelShapes(VectorChannel):
     def __init__(self, head: SSRVLAD | None = None) -> None:
         self.head = head or SSRVLAD()
         self.config: SSRVLADConfig = self.head.config
-        self.length, self.fingerprint = self.config.length, self.config.fingerprint
+        self.shape, self.fingerprint = (self.config.length,), self.config.fingerprint
         self._heads: dict[str, SSRVLAD] = {}
 
     @property

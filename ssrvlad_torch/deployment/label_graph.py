@@ -28,7 +28,7 @@ FEATURES = f"{NAME}/"
 """Prefix of the names of the nodes and tables that make features of activations."""
 
 _IMAGE = ("B", "H", "W", 3)
-_HISTOGRAMS: Axes = ["B", HOG().length]
+_HISTOGRAMS: Axes = ["B", *HOG.shape]
 EXAMPLE = (66, 98)
 """Height and width of the pictures that a module is traced with; the values are arbitrary."""
 
