@@ -20,15 +20,13 @@ from .datasets.dataset import GroundTruth
 from .datasets.frame_file import FrameInMemory
 from .datasets.image_files import Picture, pixels_of
 from .datasets.label_files import LabelMap
-from .descriptor import SSRVLAD
-from .encoding.encoder import Describer, check_segmenter, encode_to_database, method_for
+from .encoding.encoder import Describer, encode_to_database, method_for
 from .encoding.named import encode_names
 from .encoding.ray_engine import encode_with_ray
 from .encoding.results import EncodeOptions, Note, Progress, Skipped, Summary, do_nothing
 from .encoding.selection import STDIN, FrameSelection
 from .encoding.source import (
     SelectedFrames,
-    network_of,
     note_other_spaces,
     note_void,
     open_frames,
@@ -53,6 +51,8 @@ if TYPE_CHECKING:
 
 Frames = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | FrameSelection
 """Folders, globs or files, each folder a sequence; or `FrameSelection`, which says more."""
+
+_LIVE = FrameSelection([STDIN])
 
 AnyFrames = Frames | SelectedFrames | Sequence[Picture | LabelMap]
 
@@ -377,8 +377,7 @@ class Map:
             return self.source(frames, compared=True)  # type: ignore[arg-type]
         arrays = [frame if isinstance(frame, np.ndarray) else pixels_of(frame) for frame in listed]
         pictured = any(array.ndim > 2 for array in arrays)
-        live = FrameSelection([STDIN])
-        source = self.source(live, compared=True, images=pictured, live=True)
+        source = self.source(_LIVE, compared=True, images=pictured, live=True)
         if source.segmenter and (shapes := [array.shape for array in arrays if array.ndim != 3]):
             raise ValueError(f"expected pictures (H, W, 3) for the network, got {shapes[0]}")
         self._opened = source.segmenter or self._opened
@@ -388,9 +387,9 @@ class Map:
     def _segmenter(self, channels: Sequence[Channel]) -> Segmenter:
         """The network, or the one that made the map; one with which the channels of the map do not
         compare is a ValueError."""
-        segmenter = self._opened or network_of(self.database, self.network, self.labels_as)
-        require_network(self.database, segmenter)
-        config = replace(self.database.config, labels_as=segmenter.label_space)
-        check_segmenter(segmenter, SSRVLAD(config), channels)
-        self._opened = segmenter
-        return segmenter
+        source = self.source(_LIVE, compared=True, images=True, live=True)
+        assert source.segmenter
+        require_network(self.database, source.segmenter)
+        space_of_queries(self.database, source, channels)
+        self._opened = source.segmenter
+        return source.segmenter

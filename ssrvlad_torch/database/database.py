@@ -156,7 +156,7 @@ class Database:
 
     def __len__(self) -> int:
         with self._reading():
-            return int(self.table().count_rows())
+            return int(self._table.count_rows())
 
     def __bool__(self) -> bool:
         return True  # even without frames
@@ -227,7 +227,7 @@ class Database:
         frames, order = self.placed()
         if twice := len(order) - len(set(frames.frames)):
             raise ValueError(f"{self.path} is damaged: it holds {twice} frames twice")
-        channels = rows.load_descriptors(self.table(), self.columns, order)
+        channels = rows.load_descriptors(self._table, self.columns, order)
         return dataclasses.replace(frames, channels=channels)
 
     def damage(self, progress: Callable[[int], object] = lambda _: None) -> list[rows.Damage]:
@@ -375,9 +375,9 @@ class Database:
 
     def _columns(self, names: list[str], table: LanceDataset | None = None) -> pa.Table:
         """Columns of the rows in the order in which they are stored."""
-        table = table or self.table()
         with self._reading():
-            return table.to_table(columns=names, scan_in_order=True)
+            read = self._table if table is None else table
+            return read.to_table(columns=names, scan_in_order=True)
 
     @contextmanager
     def _reading(self) -> Iterator[None]:

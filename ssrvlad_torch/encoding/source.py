@@ -53,6 +53,13 @@ class SelectedFrames:
     dataset: Dataset | None = None
     map_folders: SequenceFolders = ()
 
+    @property
+    def folders(self) -> SequenceFolders:
+        """Of the sequences; none of a database whose sequence the user named."""
+        if self.database is None:
+            return {(file.folder, file.sequence) for file in self.files}
+        return () if self.selection.sequence else self.database.folders()
+
 
 def open_frames(
     selection: FrameSelection,
@@ -241,16 +248,6 @@ def origin_of(database: Database) -> Origin:
     if not str(network).startswith("hf:") and (not network.is_absolute() or ".." in network.parts):
         raise ValueError(f"{database.path} names its network {str(network)!r}, no absolute path")
     return origins[0]
-
-
-def network_of(
-    database: Database, network: str | Segmenter | None, labels_as: str | LabelSpace | None
-) -> Segmenter:
-    """A network by its name, or the one with which all frames of a database were labelled."""
-    if not isinstance(network, str):
-        origin = origin_of(database)
-        network, labels_as = origin.network, labels_as or origin.label_space
-    return Segmenter.load(network, labels_as or AUTO, cache_folder())
 
 
 def require_network(database: Database, segmenter: Segmenter) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
+from operator import attrgetter
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -73,7 +74,7 @@ class Course(NamedTuple):
             f"at rate {self.rate:g}" * (self.rate != 1),
             f"{self.streams} streams in turn" * (self.streams != 1),
         )
-        return ", ".join(word for word in words if word)
+        return ", ".join(filter(None, words))
 
 
 class Confidence(NamedTuple):
@@ -164,7 +165,7 @@ def references_of(
         sequences: of the frames, which stand together and in order; else a ValueError.
         trust: how much channels count before anything is known of the queries, by default 1.
     """
-    town = DescriptorMap([len(run) for run in runs(sequences)])
+    town = DescriptorMap([*map(len, runs(sequences))])
     for name, rows in channels.items():
         town.add(name, None if rows is None else _array(rows), (trust or {}).get(name, 1.0))
     return town
@@ -280,21 +281,18 @@ def _joined(
         used["sweep"][name] = COLUMNS[len(COLUMNS) // 2 + taken.width]
         used["weights"][name] = taken.weights if len(taken.weights) > 1 else {}
 
-    def column(name: str, of_none: npt.NDArray[Any]) -> Tensor:
+    def column(name: str, kind: Any, *shape: int) -> Tensor:
         """Of all queries, also if there are none."""
-        columns = [getattr(decision, name) for decision in decisions.values()]
-        return torch.from_numpy(np.concatenate([of_none, *columns]))
+        columns = map(attrgetter(name), decisions.values())
+        return torch.from_numpy(np.concatenate([np.zeros((0, *shape), kind), *columns]))
 
-    no_rows, no_floats = np.zeros((0, top), np.int64), np.zeros(0, np.float32)
-    matches = Matches(column("scores", no_rows.astype(np.float32)), column("rows", no_rows))
-    together = column("together", no_floats).masked_fill(matches.indices[:, 0] < 0, 0)
-    confidence = Confidence(column("right", no_floats), column("spread", no_floats), together)
-    follows = column("follows", np.zeros(0, bool))
-    fused = any(len(decision.taken.weights) > 1 for decision in decisions.values())
+    matches = Matches(column("scores", np.float32, top), column("rows", np.int64, top))
+    together = column("together", np.float32).masked_fill(matches.indices[:, 0] < 0, 0)
+    confidence = Confidence(column("right", np.float32), column("spread", np.float32), together)
+    follows, fused = column("follows", bool), any(used["weights"].values())
     kinds = [score_is(followed, fused) for followed in follows.tolist()]
     settled = torch.ones_like(follows)
     if steps.follow == "online":
-        lengths = [len(decision.follows) for decision in decisions.values()]
-        numbers = [n for length in lengths for n in range(length)]
+        numbers = [n for decision in decisions.values() for n in range(len(decision.follows))]
         settled = torch.tensor(numbers, dtype=torch.int64) >= MIN_FRAMES
     return Recognised(matches, confidence, used, courses, follows, kinds, settled)

@@ -14,7 +14,6 @@ from torch.nn.functional import logsigmoid
 
 from ..database.frames import FrameSet
 from ..datasets.frame_file import Skipped
-from ..datasets.names import SequenceFolders
 from ..datasets.poses import Pose
 from ..evaluation.ground_truth_files import PartialTruth, known_matches
 from ..evaluation.thresholds import SURE_PRECISION
@@ -102,7 +101,6 @@ class Answers:
         recognised: all candidates, also those that are not accepted, and the steps as taken.
         temporal: t of Eq. 3.
         skipped: frames that could not be encoded.
-        folders: of the sequences of the queries.
         min_confidence, max_wrong: which queries are accepted, see `accepted`; by default all.
         matches: the candidates of the accepted queries. Scores that are rounded above 1 are 1.
         estimate: how many of these are wrong, without ground truth.
@@ -113,7 +111,6 @@ class Answers:
     recognised: Recognised
     temporal: int = 0
     skipped: tuple[Skipped, ...] = ()
-    folders: SequenceFolders = ()
     min_confidence: float = 0.0
     max_wrong: float | None = None
     matches: Matches = field(init=False)
@@ -137,8 +134,8 @@ class Answers:
 
     def __iter__(self) -> Iterator[Answer]:
         of = self.recognised
-        lists = [column.tolist() for column in (*self.matches, of.sure.right, of.settled)]
-        queries = zip(self.queries.frames, of.score_is, *lists, strict=True)
+        numbers = map(Tensor.tolist, (*self.matches, of.sure.right, of.settled))
+        queries = zip(self.queries.frames, of.score_is, *numbers, strict=True)
         for query, kind, scores, rows, sure, settled in queries:
             candidates = candidates_of(self.references, scores, rows)
             yield Answer(query, candidates, kind, sure, settled=settled)

@@ -15,7 +15,7 @@ from ..channels.features import Features
 from ..database.database import Database
 from ..database.frames import FrameSet
 from ..datasets.image_files import Pixels
-from ..datasets.names import SequenceFolders, check_sequences, name_of
+from ..datasets.names import check_sequences, name_of
 from ..descriptor import SSRVLAD
 from ..encoding.encoder import check_segmenter, encode_to_memory
 from ..encoding.results import Progress, Skipped, do_nothing
@@ -65,24 +65,23 @@ def search(
             raise ValueError(
                 f"{channel.name} are signs, which have no temporal sum; expected --channel ssr-vlad"
             )
-    if not len(database):
+    count = len(database)
+    if not count:
         raise ValueError(f"{database.path} holds no frames yet")
-    most = max(len(database), TOP)
+    most = max(count, TOP)
     top = most if isinstance(top, int) and top > most else checked_number("top", top, least=1)
     if source.database:
-        queries, folders = _stored_queries(database, source, source.database, used)
+        queries = _stored_queries(database, source, source.database, used)
         skipped = list[Skipped]()
     else:
-        columns = COLUMNS if steps.sweep else ()
-        space, files = space_of_queries(database, source, used), source.files
+        space, columns = space_of_queries(database, source, used), COLUMNS if steps.sweep else ()
         queries, skipped = encode_to_memory(
-            used, space, files, source.selection.workers, progress, source.segmenter, columns
+            used, space, source.files, source.selection.workers, progress, source.segmenter, columns
         )
-        folders = {(file.folder, file.sequence) for file in files}
     exact = temporal or steps.follow == "online"  # a shortlist is made of all queries
     shortlist, reason = (None, "") if exact else open_shortlist(database, used)
     references = shortlist.frames if shortlist else database.load()
-    where = np.ones(len(references.frames), bool)
+    where = np.ones(count, bool)
     if sequences is not None:
         where = select(references, sequences)
     if near:
@@ -103,9 +102,8 @@ def search(
     if Features.name in queries.channels:
         recognised.used["camera"] = _cameras(queries, shortlist or references, recognised)
     return Answers(
-        queries, references, recognised, temporal, tuple(skipped), folders,
-        min_confidence, max_wrong,
-    )  # fmt: skip
+        queries, references, recognised, temporal, tuple(skipped), min_confidence, max_wrong
+    )
 
 
 def chosen_channels(database: Database, names: Sequence[str] | None = None) -> list[Channel]:
@@ -148,8 +146,8 @@ def no_channels(database: Database, channels: Sequence[Channel]) -> ValueError:
 
 def _stored_queries(
     database: Database, source: SelectedFrames, queries: Database, channels: Sequence[Channel]
-) -> tuple[FrameSet, SequenceFolders]:
-    """The frames of another database, by some channels, and the folders of their sequences."""
+) -> FrameSet:
+    """The frames of another database, by some channels."""
     if queries.fingerprint != database.fingerprint:
         raise ValueError(
             f"{queries.path} has fingerprint {queries.fingerprint or 'none'}, {database.path} has "
@@ -161,13 +159,12 @@ def _stored_queries(
     used = {channel.name: frames.channels[channel.name] for channel in channels}
     frames = dataclasses.replace(frames, channels=used)
     if name is None:
-        folders = queries.folders()
-        check_sequences(folders, source.map_folders)
-        return frames, folders
+        check_sequences(source.folders, source.map_folders)
+        return frames
     if len(set(frames.sequences)) > 1:
         raise ValueError(f"--sequence names one sequence, {queries.path} holds several")
     ids = tuple(f"{name}/{name_of(frame)}" for frame in frames.frames)
-    return dataclasses.replace(frames, frames=ids, sequences=(name,) * len(frames)), ()
+    return dataclasses.replace(frames, frames=ids, sequences=(name,) * len(frames))
 
 
 def open_shortlist(database: Database, channels: Sequence[Channel]) -> tuple[Shortlist | None, str]:
@@ -192,7 +189,7 @@ def recognise_in(
 ) -> Recognised:
     """Candidates of queries among the frames of a map, by some channels; see `recognise`. ``where``
     ``(R,)`` bool are the rows that may be candidates."""
-    arrays = {channel.name: queries.channels[channel.name] for channel in channels}
+    arrays = queries.channels
     if isinstance(references, FrameSet):
         allowed = None if where is None or where.all() else where
         town = map_of(references, channels)
@@ -211,7 +208,7 @@ def recognise_in(
 
 def map_of(references: FrameSet, channels: Sequence[Channel]) -> DescriptorMap:
     """The frames of a map by some channels, as they are compared."""
-    town = DescriptorMap([len(run) for run in runs(references.sequences)])
+    town = DescriptorMap([*map(len, runs(references.sequences))])
     for channel in channels:
         town.add(channel.name, references.channels[channel.name].numpy(), channel.trust)
     return town

@@ -184,7 +184,7 @@ def evaluate_answers(
     source, config = material.source, material.database.config
     skipped = [frame.frame for frame in answers.skipped]
     references = Viewpoints.of_set(answers.references, source.dataset, source.map_folders)
-    queries = Viewpoints.of_set(answers.queries, source.dataset, answers.folders, skipped)
+    queries = Viewpoints.of_set(answers.queries, source.dataset, source.folders, skipped)
     truth = true_matches(definition, references, queries, note)
     details = {
         **answers.judged(truth),

@@ -57,7 +57,7 @@ class Shortlist:
         self._database, self._channels = database, channels
         self._index = Index(database, MapRows.of(database))
         self._codes, self.frames = self._index.codes(), self._index.rows.frames
-        self._lengths = [len(run) for run in runs(self.frames.sequences)]
+        self._lengths = [*map(len, runs(self.frames.sequences))]
         everyone = np.random.default_rng(0).permutation(len(self.frames))
         self._sample = np.sort(everyone[:SAMPLE])
         self._sampled = self.read(self._sample)
