@@ -17,7 +17,7 @@ from .config import SSRVLADConfig
 from .database.database import Database
 from .database.engine import discard_empty
 from .datasets.dataset import GroundTruth
-from .datasets.frame_file import FrameInMemory
+from .datasets.frame_file import frame_in_memory
 from .datasets.image_files import Picture, pixels_of
 from .datasets.label_files import LabelMap
 from .encoding.encoder import Describer, encode_to_database, method_for
@@ -381,7 +381,7 @@ class Map:
         if source.segmenter and (shapes := [array.shape for array in arrays if array.ndim != 3]):
             raise ValueError(f"expected pictures (H, W, 3) for the network, got {shapes[0]}")
         self._opened = source.segmenter or self._opened
-        files = [FrameInMemory.of(number, array) for number, array in enumerate(arrays)]
+        files = [frame_in_memory(number, array) for number, array in enumerate(arrays)]
         return replace(source, files=files)
 
     def _segmenter(self, channels: Sequence[Channel]) -> Segmenter:

@@ -5,11 +5,9 @@ import pickle
 
 import numpy as np
 import pytest
-import torch
 from drawings import SPACE
 from helpers import flip_byte
 from networks import (
-    CLASSES,
     LABELS,
     PHOTOS,
     PLAIN,
@@ -67,18 +65,12 @@ def test_every_network_and_setting_has_its_own_key():
     other = colour_network()
     other.bias.data[3] += 1e-3
 
-    def program(add):
-        torch.manual_seed(add)
-        return torch.jit.freeze(torch.jit.script(nn.Conv2d(3, CLASSES, 1).eval()))
-
     segmenters = [
         Segmenter(colour_network(), SPACE, PLAIN),
         Segmenter(other, SPACE, PLAIN),
         Segmenter(nn.Sequential(colour_network()), SPACE, PLAIN),
         Segmenter(Strided(1), SPACE, PLAIN),
         Segmenter(Then(lambda scores: scores), SPACE, PLAIN),
-        Segmenter(program(0), SPACE, PLAIN),
-        Segmenter(program(1), SPACE, PLAIN),
         Segmenter(colour_network(), SPACE, SegmenterConfig()),
         Segmenter(colour_network(), SPACE, SegmenterConfig(colour_order="bgr")),
         Segmenter(colour_network(), SPACE, SegmenterConfig(classes=(0, 11))),

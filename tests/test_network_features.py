@@ -18,8 +18,7 @@ from networks import (
 )
 from torch import nn
 
-from ssrvlad_torch import SSRVLAD, reference
-from ssrvlad_torch.channels.channel import new_channels
+from ssrvlad_torch import reference
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.deployment.differences import other_signs
 from ssrvlad_torch.segmentation.activations import captured, find_activations
@@ -116,22 +115,10 @@ def test_label_maps_and_features_are_cached_together(tmp_path):
     assert count == 1 and same(again, others)
 
 
-def scripted(frozen=False):
+def test_torchscript_is_refused():
     program = torch.jit.trace(Street(), torch.rand(1, 3, 96, 128), check_trace=False)
-    return torch.jit.freeze(program.eval()) if frozen else program
-
-
-@pytest.mark.parametrize(
-    "network", [scripted(), scripted(frozen=True), nn.Sequential(nn.Identity(), scripted())]
-)
-def test_a_torchscript_network_has_labels_and_no_features(network):
-    segmenter = Segmenter(network, SPACE, PLAIN)
-    (segmented,) = segmenter.segment(pictures(1))
-    expected = Segmenter(Street(), SPACE, PLAIN)(pictures(1))
-    np.testing.assert_array_equal(segmented.labels, expected[0])
-    assert "activations of a TorchScript module cannot be taken" in segmenter.problem_of_features
-    channels = new_channels(None, SSRVLAD.from_preset("default", labels_as=SPACE), segmenter)
-    assert [channel.column.name for channel in channels] == ["ssr-vlad", "hog"]
+    for network in (program, nn.Sequential(nn.Identity(), program)):
+        refuses("expected the module of which the TorchScript was made", Segmenter, network, SPACE)
 
 
 def same_everywhere(value):

@@ -1,10 +1,10 @@
 """Images in ROS 1 and ROS 2 bags, and the pixels of raw ones. Needs the extra ``rosbag``."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -21,23 +21,14 @@ _FILMS = ("compresseddepth", "h264", "h265", "hevc", "av1", "ffmpeg", "theora")
 """In the format of a compressed image, what is no picture that stands alone."""
 
 
-@dataclass(frozen=True)
-class BagFile(FrameFile):
-    """One image of a topic of a bag; its ``row`` is the number of the message on the topic."""
-
-    topic: str = ""
-
-    @property
-    def location(self) -> str:
-        """Bag, topic and name, for messages."""
-        return f"{self.path} {self.topic} at {self.name}"
-
-    def _content(self) -> bytes:
-        assert self.row is not None
-        message = _open(self.path, self.topic, self.state).message(self.row)
-        return (
-            message.data.tobytes() if hasattr(message, "format") else npy_bytes(raw_pixels(message))
-        )
+def _image(topic: str, file: FrameFile) -> bytes:
+    assert file.row is not None
+    bag, connection, messages = _open(file.path, topic, file.state)
+    if (raw := messages.item(file.row)) is None:
+        raise ValueError(f"the bag has no message {file.row} of the topic")
+    message = bag.deserialize(raw, connection.msgtype)
+    is_file = hasattr(message, "format")
+    return message.data.tobytes() if is_file else npy_bytes(raw_pixels(message))
 
 
 def is_bag(path: Path) -> bool:
@@ -52,85 +43,75 @@ def bag_files(
     the name of a sequence. A frame is named by its time of recording in nanoseconds, a later one of
     that time also by a number. ``note`` gets topics that cannot be read. No such topic, several,
     and a damaged bag are a ValueError; no extra ``rosbag``, an ImportError."""
-    opened = _Topic(path, topic, note)
-    name, folder = opened.connection.topic, absolute(path)
+    bag, folder = _opened(path), absolute(path)
     files, times = list[FrameFile](), Counter[int]()
-    with closing(opened.bag):
-        for row, (time, _) in enumerate(opened.messages()):
-            frame = f"{time}-{times[time]}" if time in times else str(time)
+    with closing(bag):
+        connection = _chosen(path, bag, topic, note)
+        for row, (_, time, _) in enumerate(bag.messages(connections=[connection])):
+            name = f"{time}-{times[time]}" if time in times else str(time)
             times[time] += 1
-            stamp = time * 1e-9
-            files.append(BagFile("", frame, path, row, folder=folder, stamp=stamp, topic=name))
+            place, read = f"{path} {connection.topic} at {name}", partial(_image, connection.topic)
+            file = FrameFile("", name, path, row, folder=folder, place=place, content=read)
+            files.append(replace(file, stamp=time * 1e-9))
     return files
 
 
-class _Topic:
-    """The messages of one topic. Reading them in order reads the bag once."""
-
-    def __init__(
-        self, path: Path, topic: str | None, note: Callable[[str], object] = lambda _: None
-    ) -> None:
-        with requiring("rosbag", f"{path} needs"):
-            from rosbags.highlevel import AnyReader
-            from rosbags.typesys import Stores, get_typestore
-        try:
-            # bags written before ROS 2 Iron do not hold the types of their messages
-            self.bag = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-            self.bag.open()
-        except Exception as error:  # damaged files raise any exception
-            raise ValueError(f"{path} is not a readable bag: {one_line(error)}") from error
-        by_topic = {c.topic: c for c in self.bag.connections if c.msgtype in _MESSAGE_TYPES}
-        if topic is not None and topic not in by_topic:
-            topics = ", ".join(sorted(by_topic)) or "none"
-            raise ValueError(f"{path} has no topic {topic} of images; it has {topics}")
-        problems = {name: self._problem(c) for name, c in by_topic.items() if topic in (None, name)}
-        unread = [f"{path} {name}: {problem}" for name, problem in problems.items() if problem]
-        names = sorted(name for name in problems if not problems[name])
-        if unread and not names:
-            raise ValueError("; ".join(unread))
-        if len(names) != 1:
-            raise ValueError(
-                f"{path} has {len(names)} topics of images, {', '.join(names) or 'none'}; "
-                "name one with --topic"
-            )
-        for line in unread:
-            note(f"{line}; the topic is passed over")
-        self.connection = by_topic[names[0]]
-        self._raw = ForwardReader(lambda _start: enumerate(raw for _, raw in self.messages()))
-
-    def _problem(self, connection: Any) -> str:
-        """Why the images of a topic cannot be read, by its first message; empty if they can."""
-        try:
-            _, _, raw = next(self.bag.messages(connections=[connection]))
-            message = self.bag.deserialize(raw, connection.msgtype)
-        except Exception:  # damaged messages raise any exception; each is skipped when it is read
-            return ""
-        form = getattr(message, "format", "")
-        if any(film in form.lower() for film in _FILMS):
-            return f"compressed images: got {form!r}, expected JPEG or PNG"
-        try:
-            check_encoding(getattr(message, "encoding", "rgb8"))
-        except ValueError as error:
-            return str(error)
-        return ""
-
-    def messages(self) -> Iterator[tuple[int, Any]]:
-        """Time in nanoseconds and raw bytes of every message."""
-        for _, time, raw in self.bag.messages(connections=[self.connection]):
-            yield time, raw
-
-    def message(self, row: int) -> Any:
-        """A message by its number; a ValueError if the bag ends before it."""
-        raw = self._raw.item(row)
-        if raw is None:
-            raise ValueError(f"the bag has no message {row} of the topic")
-        return self.bag.deserialize(raw, self.connection.msgtype)
+def _opened(path: Path) -> Any:
+    with requiring("rosbag", f"{path} needs"):
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    try:
+        # bags written before ROS 2 Iron do not hold the types of their messages
+        bag = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        bag.open()
+    except Exception as error:  # damaged files raise any exception
+        raise ValueError(f"{path} is not a readable bag: {one_line(error)}") from error
+    return bag
 
 
 @lru_cache(maxsize=4)
-def _open(path: Path, topic: str, _state: str) -> _Topic:
-    """A topic, opened again when the state of the file changes."""
-    return _Topic(path, topic)
+def _open(path: Path, topic: str, _state: str) -> tuple[Any, Any, ForwardReader[bytes]]:
+    """A bag, a topic of images and its messages by their numbers, opened again when the state of
+    the file changes. Reading messages in order reads the bag once."""
+    bag = _opened(path)
+    images = (c for c in bag.connections if c.msgtype in _MESSAGE_TYPES)
+    connection = next(c for c in images if c.topic == topic)
+    raw = lambda _start: enumerate(m[2] for m in bag.messages(connections=[connection]))  # noqa: E731
+    return bag, connection, ForwardReader(raw)
+
+
+def _chosen(path: Path, bag: Any, topic: str | None, note: Callable[[str], object]) -> Any:
+    """The topic of this name, or the only one that can be read; see `bag_files`."""
+    by_topic = {c.topic: c for c in bag.connections if c.msgtype in _MESSAGE_TYPES}
+    if topic is not None and topic not in by_topic:
+        topics = ", ".join(sorted(by_topic)) or "none"
+        raise ValueError(f"{path} has no topic {topic} of images; it has {topics}")
+    problems = {name: _problem(bag, c) for name, c in by_topic.items() if topic in (None, name)}
+    unread = [f"{path} {name}: {problem}" for name, problem in problems.items() if problem]
+    names = sorted(name for name in problems if not problems[name])
+    if unread and not names:
+        raise ValueError("; ".join(unread))
+    if len(names) != 1:
+        raise ValueError(
+            f"{path} has {len(names)} topics of images, {', '.join(names) or 'none'}; "
+            "name one with --topic"
+        )
+    for line in unread:
+        note(f"{line}; the topic is passed over")
+    return by_topic[names[0]]
+
+
+def _problem(bag: Any, connection: Any) -> str:
+    """Why the images of a topic cannot be read, by its first message; empty if they can."""
+    try:
+        _, _, raw = next(bag.messages(connections=[connection]))
+        message = bag.deserialize(raw, connection.msgtype)
+    except Exception:  # damaged messages raise any exception; each is skipped when it is read
+        return ""
+    form, encoding = getattr(message, "format", ""), getattr(message, "encoding", "rgb8")
+    if any(film in form.lower() for film in _FILMS):
+        return f"compressed images: got {form!r}, expected JPEG or PNG"
+    return "" if encoding in _CHANNELS else _unknown(encoding)
 
 
 Bytes = npt.NDArray[np.uint8]
@@ -145,14 +126,12 @@ _CHANNELS = {
 OpenCV's own names are read as RViz reads them."""
 _YUV_TO_RGB = np.array([(1.164, 1.164, 1.164), (0, -0.392, 2.017), (1.596, -0.813, 0)])
 """ITU-R BT.601, of Y from 16 to 235."""
-_BILINEAR = np.array([(1, 2, 1), (2, 4, 2), (1, 2, 1)]) / 4
+_BAYER = {"rggb": "BG", "grbg": "GB", "bggr": "RG", "gbrg": "GR"}
+"""Kornia's names of Bayer patterns."""
 
 
-def check_encoding(encoding: str) -> None:
-    """Raises a ValueError for an encoding that is not read."""
-    if encoding not in _CHANNELS:
-        expected = ", ".join(_CHANNELS)
-        raise ValueError(f"image encoding: got {encoding!r}, expected one of {expected}")
+def _unknown(encoding: str) -> str:
+    return f"image encoding: got {encoding!r}, expected one of {', '.join(_CHANNELS)}"
 
 
 def raw_pixels(message: Any) -> Bytes:
@@ -160,7 +139,8 @@ def raw_pixels(message: Any) -> Bytes:
     encoding that is not read, and of gray what `high_bytes` refuses, are a ValueError."""
     from .image_files import high_bytes  # it finds bags
 
-    check_encoding(message.encoding)
+    if message.encoding not in _CHANNELS:
+        raise ValueError(_unknown(message.encoding))
     check_pixels(message.height, message.width)
     order, is_wide = _CHANNELS[message.encoding], message.encoding.endswith("16")
     is_bayer, is_yuv = message.encoding.startswith("bayer"), order in ("uyvy", "yuyv")
@@ -189,21 +169,8 @@ def _of_yuv(pairs: Bytes, order: str) -> Bytes:
 
 def _of_bayer(mosaic: Bytes, order: str) -> Bytes:
     """Pixels of one colour each; the two others are means of the neighbours that have them."""
-    colours = np.empty(mosaic.shape, "U1")
-    for place, colour in enumerate(order):
-        colours[place // 2 :: 2, place % 2 :: 2] = colour
-    pixels = np.empty((*mosaic.shape, 3), np.uint8)
-    for channel, colour in enumerate("rgb"):
-        mask = colours == colour
-        mean = _smoothed(mosaic * mask) / np.maximum(_smoothed(mask), 1e-9)
-        pixels[..., channel] = np.where(mask, mosaic, mean.round())
-    return pixels
+    import torch
+    from kornia.color import CFA, raw_to_rgb
 
-
-def _smoothed(values: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-    height, width = values.shape
-    padded = np.pad(values.astype(float), 1)
-    total = np.zeros(values.shape)
-    for (down, right), weight in np.ndenumerate(_BILINEAR):
-        total += weight * padded[down : down + height, right : right + width]
-    return total
+    pixels = raw_to_rgb(torch.from_numpy(mosaic)[None].float(), CFA[_BAYER[order]])
+    return pixels.round().byte().permute(1, 2, 0).numpy()

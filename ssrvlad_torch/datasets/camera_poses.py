@@ -12,8 +12,6 @@ from .poses import UNKNOWN, Pose, heading_of_course, parse_number
 _EARTH_RADIUS = 6_371_000
 """Metres."""
 _MERIDIAN = 9.0
-KITTI_360 = 13, 17
-"""Numbers in a line, of the car and of a camera."""
 
 
 class Ground(NamedTuple):
@@ -85,19 +83,6 @@ def read_colmap(path: Path, text: str) -> dict[str, Pose]:
     first, second = (vertical + 1) % 3, (vertical + 2) % 3
     ground = Ground(second, first) if down[vertical] > 0 else Ground(first, second)
     return {name: ground.pose(centre, axes[2]) for name, (centre, axes) in cameras.items()}
-
-
-def read_kitti_360(path: Path, text: str) -> dict[str, Pose]:
-    """Poses of KITTI-360 by frame, ten digits: lines of a frame's number and the matrix to a world
-    whose z is up, ``(3, 4)`` of the car, which looks along its x, or ``(4, 4)`` of a camera."""
-    poses = {}
-    for place, words in words_of(path, text):
-        with naming(place):
-            is_camera = len(words) == KITTI_360[1]
-            frame, *matrix = parse_numbers(words, KITTI_360[is_camera])
-            axis = matrix[2:12:4] if is_camera else matrix[0:12:4]
-            poses[f"{int(frame):010d}"] = Z_UP.pose(matrix[3:12:4], axis)
-    return poses
 
 
 def read_cmu_list(path: Path) -> dict[str, Pose]:

@@ -2,11 +2,11 @@
 ``gs://``, ``hdfs://`` and ``file://``, and the frames that these hold."""
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cache
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from pathlib import Path, PurePosixPath
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy.typing as npt
 from numpy.lib.format import open_memmap
@@ -23,20 +23,31 @@ class Skipped(NamedTuple):
     reason: str
 
 
+def _on_disk(file: "FrameFile") -> bytes:
+    if file.row is None:
+        return read_bytes(file.path)
+    return npy_bytes(open_memmap(file.path, mode="r")[file.row])
+
+
 @dataclass(frozen=True)
 class FrameFile:
-    """One frame on disk, a label map or an image.
+    """One frame, a label map or an image.
 
     Attributes:
         sequence, name: the frame's id is ``<sequence>/<name>``.
-        row: number of the frame in a ``.npy`` stack or a bag, ``None`` for a file of one frame.
+        row: number of the frame in a ``.npy`` stack or a bag, its time in a video in the units of
+            the stream, ``None`` for a file of one frame.
         pose, stamp: pose of the camera, and time in seconds; NaN where unknown.
         is_named: whether the user chose the name of the sequence.
-        folder: absolute path of the sequence's folder, or of a stack or bag that is a sequence.
+        folder: absolute path of the sequence's folder, or of a stack or bag that is a sequence; of
+            a remote file its URI, without secrets and settings.
         has_pose_source: whether a file of poses or the name says the pose. If so, NaN deletes a
             stored pose; if not, a stored pose stays.
         index_is_id: whether the index of a palette, or the first channel, is the id of a label map.
-        readers: number of frames that one process best reads at once.
+        place: where it is, for messages; by default its path.
+        listed: of a remote file, size and modification time when its folder was listed.
+        problem: why the frames of a video or bag, for which it stands, cannot be read.
+        content: reads the bytes of the file, or of a ``.npy`` file of a row.
     """
 
     sequence: str
@@ -49,7 +60,10 @@ class FrameFile:
     stamp: float = float("nan")
     has_pose_source: bool = False
     index_is_id: bool = False
-    readers: ClassVar[int] = 1
+    place: str = ""
+    listed: str = ""
+    problem: str = ""
+    content: Callable[["FrameFile"], bytes] = field(default=_on_disk, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if not self.folder:
@@ -64,11 +78,18 @@ class FrameFile:
     @property
     def location(self) -> str:
         """Path or address for messages."""
-        return str(self.path)
+        return self.place or str(self.path)
+
+    @property
+    def readers(self) -> int:
+        """Number of frames that one process best reads at once."""
+        return 16 if self.listed else 1
 
     @property
     def state(self) -> str:
         """Size and modification times of the file as text; empty if the file does not exist."""
+        if self.listed:
+            return self.listed
         try:
             status = self.path.stat()
         except (OSError, ValueError):
@@ -83,73 +104,25 @@ class FrameFile:
         """The bytes of the file, or of a ``.npy`` file of a row; a ValueError if damaged."""
         try:
             self.frame.encode()
-            return self._content()
+            if self.problem:
+                raise ValueError(self.problem)
+            return self.content(self)
         except Exception as error:  # damaged files raise any exception
             raise ValueError(one_line(error)) from error
 
-    def _content(self) -> bytes:
-        if self.row is None:
-            return read_bytes(self.path)
-        return npy_bytes(open_memmap(self.path, mode="r")[self.row])
+
+def frame_in_memory(number: int, array: npt.NDArray[Any]) -> FrameFile:
+    """The frame of the sequence ``query`` with a number, a label map or a picture as an array."""
+    name, place = f"{number:06d}", f"frame {number}"
+    file = FrameFile("query", name, Path(name), folder=str(Path.cwd()), place=place)
+    return replace(file, content=lambda _: npy_bytes(array))
 
 
-@dataclass(frozen=True)
-class UnreadableFile(FrameFile):
-    """Stands for the frames of a video or bag that cannot be opened, and why."""
-
-    problem: str = ""
-
-    def _content(self) -> bytes:
-        raise ValueError(self.problem)
-
-
-@dataclass(frozen=True)
-class FrameInMemory(FrameFile):
-    """One frame as an array, a label map or a picture."""
-
-    array: npt.NDArray[Any] | None = field(default=None, repr=False, compare=False)
-
-    @classmethod
-    def of(cls, number: int, array: npt.NDArray[Any]) -> "FrameInMemory":
-        """The frame of the sequence ``query`` with a number."""
-        name = f"{number:06d}"
-        return cls("query", name, Path(name), folder=str(Path.cwd()), array=array)
-
-    @property
-    def location(self) -> str:
-        """The number of the frame, for messages."""
-        return f"frame {int(self.name)}"
-
-    def _content(self) -> bytes:
-        assert self.array is not None
-        return npy_bytes(self.array)
-
-
-@dataclass(frozen=True)
-class RemoteFile(FrameFile):
-    """One frame in a remote file system: its path there, the URI of its folder without secrets and
-    settings, size and modification time when that was listed, and the URI to connect by."""
-
-    listed: str = ""
-    uri: str = field(default="", repr=False)
-
-    readers: ClassVar[int] = 16
-
-    @property
-    def location(self) -> str:
-        """Address for messages."""
-        return f"{self.folder}/{self.path.name}"
-
-    @property
-    def state(self) -> str:
-        """Size and modification time when the folder was listed."""
-        return self.listed
-
-    def _content(self) -> bytes:
-        with _connected(self.uri)[0].open_input_file(str(self.path)) as source:
-            check_size(source.size(), self.location)
-            content: bytes = source.read()
-        return content
+def _remote(uri: str, file: FrameFile) -> bytes:
+    with _connected(uri)[0].open_input_file(str(file.path)) as source:
+        check_size(source.size(), file.location)
+        content: bytes = source.read()
+    return content
 
 
 @cache
@@ -182,8 +155,9 @@ def remote_files(
             continue
         if path.suffix.lower() in suffixes:
             listed = f"{entry.size} {entry.mtime_ns}"
-            file = RemoteFile("", path.stem, Path(path), folder=folder, listed=listed, uri=uri)
-            files.append(file)
+            file = FrameFile("", path.stem, Path(path), folder=folder, listed=listed)
+            place = f"{folder}/{path.name}"
+            files.append(replace(file, place=place, content=partial(_remote, uri)))
         else:
             passed_over[path.suffix.lower() or "without suffix"] += 1
     if not files:

@@ -14,7 +14,7 @@ from numpy.lib.format import open_memmap
 
 from ..files import check_regular, is_uri, natural_key, npy_header
 from .bags import bag_files, is_bag
-from .frame_file import FrameFile, UnreadableFile, remote_files
+from .frame_file import FrameFile, remote_files
 from .names import SequenceFolders, absolute, sequence_names
 from .pose_tables import FILE_NAME, with_poses_beside, with_poses_of
 from .poses import Projection
@@ -62,8 +62,8 @@ def find_frames(
     if passed := finder.passed_over.most_common():
         counts = ", ".join(f"{count} {suffix}" for suffix, count in passed)
         note(f"files passed over: {counts}; {kind.name} are {', '.join(kind.suffixes)}")
-    if files and all(isinstance(file, UnreadableFile) for file in files):
-        raise ValueError(str(getattr(files[0], "problem", "")))
+    if files and all(file.problem for file in files):
+        raise ValueError(files[0].problem)
     files = choose(files)
     sequences, projection = _sequences(files, sequence, map_folders), projection or Projection()
     if poses:
@@ -169,8 +169,8 @@ class _Finder:
                 of_bag, note = is_bag(path), self.note
                 yield from bag_files(path, self.topic, note) if of_bag else video_files(path, note)
             except ValueError as error:
-                place = absolute(path)
-                yield UnreadableFile("", path.stem, path, folder=place, stamp=0, problem=str(error))
+                folder, problem = absolute(path), str(error)
+                yield FrameFile("", path.stem, path, folder=folder, stamp=0, problem=problem)
             return
         is_folder = path.is_dir()
         home = absolute(path if is_folder else path.parent)

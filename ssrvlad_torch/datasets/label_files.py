@@ -124,16 +124,14 @@ def _decode_image(content: bytes, space: LabelSpace | None) -> npt.NDArray[Any]:
             )
         pixels = np.asarray(image)
         first = pixels if pixels.ndim == 2 else pixels[..., 0]
-        if space is None and image.mode in ("P", "PA", "RGB", "RGBA"):
-            return first
-        if space and image.mode in ("P", "PA"):
+        if image.mode in ("P", "PA"):
             colours = np.array(image.getpalette(), np.uint8).reshape(-1, 3)
-            return _ids_of_palette(first, colours, space)
-        if image.mode in ("L", "LA", "I", "I;16", "I;16B", "I;16L"):
-            return first
-        if space and image.mode in ("RGB", "RGBA"):
-            return _ids_of_channels(pixels[..., :3], space)
-        raise ValueError(f"expected a label image, got an image of mode {image.mode}")
+            return _ids_of_palette(first, colours, space) if space else first
+        if image.mode in ("RGB", "RGBA"):
+            return _ids_of_colours(pixels[..., :3], space) if space else first
+        if image.mode not in ("L", "LA", "I", "I;16", "I;16B", "I;16L"):
+            raise ValueError(f"expected a label image, got an image of mode {image.mode}")
+        return first
 
 
 def _first_of_sixteen_bit_channels(
@@ -183,25 +181,20 @@ def _ids_by_colour(space: LabelSpace) -> dict[tuple[int, ...], int]:
     return {label.colour: label.id for label in classes if label.colour}
 
 
-def _ids_of_channels(pixels: npt.NDArray[np.uint8], space: LabelSpace) -> npt.NDArray[Any]:
+def _ids_of_colours(pixels: npt.NDArray[np.uint8], space: LabelSpace) -> npt.NDArray[Any]:
     """Ids of a label image of three channels: of its colours, but its red channel where the others
     equal it or are 0, and its values are ids and not all colours of the label space."""
-    red, green_blue = pixels[..., 0], pixels[..., 1:]
+    red, green_blue, id_of = pixels[..., 0], pixels[..., 1:], _ids_by_colour(space)
     is_gray = bool((green_blue == red[..., None]).all())
     if is_gray or not green_blue.any():
-        colours, ids = _ids_by_colour(space), {label.id for label in space.classes}
         used = np.flatnonzero(np.bincount(red.ravel())).tolist()
-        if ids.issuperset(used) and any((i, i * is_gray, i * is_gray) not in colours for i in used):
+        shown = {(i, i * is_gray, i * is_gray) for i in used}
+        if {label.id for label in space.classes}.issuperset(used) and shown - id_of.keys():
             return red
-    return _ids_of_colours(pixels, space)
-
-
-def _ids_of_colours(pixels: npt.NDArray[np.uint8], space: LabelSpace) -> npt.NDArray[Any]:
-    """Ids of a label image in colours."""
     packed = pixels.astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
     ids = np.full(packed.shape, np.iinfo(np.int32).min, np.int32)
-    for (red, green, blue), label_id in _ids_by_colour(space).items():
-        ids[packed == (red << 16 | green << 8 | blue)] = label_id
+    for (red_of, green, blue), label_id in id_of.items():
+        ids[packed == (red_of << 16 | green << 8 | blue)] = label_id
     unknown = packed[ids == np.iinfo(np.int32).min]
     if len(unknown):
         colour = tuple(int(unknown[0]) >> shift & 255 for shift in (16, 8, 0))

@@ -99,9 +99,11 @@ class Layout:
         origin: where the data set can be downloaded; empty for custom data.
         expected: description of the folders and files.
         images, labels: patterns of images, see `files_of`, and of label maps by label space;
-            the first space on disk counts, or that which the user names.
+            the first space on disk counts, or that which the user names. Without patterns of
+            images each folder in a folder is a sequence, or the folder itself.
         signs: alternatives: patterns which all have files; by default each pattern alone.
-        references: texts in fields of references; the others are queries. Empty: no roles.
+        references, queries: texts in fields of references and of queries; without texts of
+            queries all others are, and without both there are no roles.
         posed_by: what holds the poses, and where it is.
         truth, truth_files: the definition of a true match, or the names of files that have it, in
             the folder or beside it with the folder's name before their own.
@@ -114,12 +116,15 @@ class Layout:
     labels: Mapping[str, Sequence[str]] = field(default_factory=dict)
     signs: Sequence[Sequence[str]] = ()
     references: Sequence[str] = ()
+    queries: Sequence[str] = ()
     posed_by: str = ""
     truth: Mapping[str, Any] = field(default_factory=dict)
     truth_files: Sequence[str] = ()
 
     def recognises(self, root: Path) -> bool:
         """Whether a folder has this layout."""
+        if not self.images:
+            return any(_of_folders(root))
         matches = partial(files_of, root, suffixes={*IMAGE_SUFFIXES, *LABEL_SUFFIXES})
         patterns = [*self.images, *chain.from_iterable(self.labels.values())]
         signs = self.signs or [[pattern] for pattern in patterns]
@@ -129,8 +134,12 @@ class Layout:
         """The data set in a folder; ``labels_as`` is the label space that the user named. Damaged
         files of poses, and files of one name in a folder, are a ValueError that names them."""
         sequence = _SEQUENCES.get(self.name, joined)
-        images = files_of(root, self.images, IMAGE_SUFFIXES, sequence)
-        space, labels = next(iter(self.labels), None), Files()
+        images, labels = (
+            _of_folders(root)
+            if not self.images
+            else (files_of(root, self.images, IMAGE_SUFFIXES, sequence), Files())
+        )
+        space = next(iter(self.labels), None)
         name = labels_as.name if isinstance(labels_as, LabelSpace) else labels_as
         for candidate in [name] if name in self.labels else self.labels:
             if labels := files_of(root, self.labels[str(candidate)], LABEL_SUFFIXES, sequence):
@@ -165,10 +174,11 @@ class Layout:
         return Dataset(self.name, root, frames, labels_as or space, self._truth(root), tuple(notes))
 
     def _role(self, fields: Fields) -> Role | None:
-        texts = {text for name, text in fields.items() if name != "name"}
-        if not self.references:
-            return None
-        return "query" if texts.isdisjoint(self.references) else "reference"
+        texts = {text.lower() for name, text in fields.items() if name != "name"}
+        if not texts.isdisjoint(self.references):
+            return "reference"
+        others = bool(self.references) and not self.queries
+        return "query" if others or not texts.isdisjoint(self.queries) else None
 
     def _truth(self, root: Path) -> GroundTruth | None:
         folder = absolute_folder(root)
@@ -179,46 +189,21 @@ class Layout:
         return GroundTruth(**self.truth) if self.truth else None
 
 
-_ROLES: dict[str, Role] = {"reference": "reference", "ref": "reference", "database": "reference"}
-_ROLES |= {"query": "query", "queries": "query"}
-_TRUTHS = ("ground_truth.json", "ground_truth.csv", "ground_truth.npy")
 _ONLY_IMAGES = tuple(suffix for suffix in IMAGE_SUFFIXES if suffix not in LABEL_SUFFIXES)
 
 
-@dataclass(frozen=True)
-class Folders(Layout):
-    """A layout whose sequences are the folders in a folder, or the folder itself."""
-
-    name: str = "folders"
-    origin: str = ""
-    expected: str = (
-        "folders of label maps (.png, .npy, .tif, .bmp) or images (.jpg), one per sequence"
-    )
-
-    def recognises(self, root: Path) -> bool:
-        """Whether a folder holds frames, or one in it."""
-        return bool(_sequences(root))
-
-    def read(self, root: Path, labels_as: LabelsAs = None) -> Dataset:
-        """The sequences in a folder, or the sequence that it is."""
-        truth = next((root / name for name in _TRUTHS if (root / name).is_file()), None)
-        frames = list[DatasetFrame]()
-        for folder in _sequences(root):
-            sequence, place = absolute_folder(folder).name, absolute(folder)
-            role = _ROLES.get(sequence.lower())
-            images, labels = _frames(folder)
-            files, table = labels | images, PoseTable.of_folder(folder)
-            for name in sorted(files, key=natural_key):
-                file = FrameFile(sequence, name, files[name], folder=place)
-                pose = (table and table.pose_of(file)) or UNKNOWN
-                paths = images.get(name), labels.get(name)
-                frames.append(DatasetFrame(sequence, name, *paths, pose, role))
-        file_of_truth = GroundTruth(truth) if truth else None
-        return Dataset(self.name, root, tuple(frames), labels_as, file_of_truth)
-
-
-def _sequences(root: Path) -> list[Path]:
-    return [root] if any(_frames(root)) else [f for f in folders_in(root) if any(_frames(f))]
+def _of_folders(root: Path) -> tuple[Files, Files]:
+    """The images and the label maps of the sequences that are folders in a folder, or of the one
+    that it is, with the name and the path of the folder."""
+    images, labels = Files(), Files()
+    for folder in (root, *folders_in(root)):
+        fields = {"sequence": absolute_folder(folder).name, "folder": str(folder)}
+        for files, by_name in zip((images, labels), _frames(folder), strict=True):
+            for name, path in by_name.items():
+                files[fields["sequence"], name] = path, fields
+        if folder is root and (images or labels):
+            break
+    return images, labels
 
 
 def _frames(folder: Path) -> tuple[dict[str, Path], dict[str, Path]]:
@@ -275,25 +260,35 @@ def _robotcar_poses(root: Path, files: Files) -> dict[Key, Pose]:
     return {key: listed[id_] for key, id_ in ids.items() if id_ in listed}
 
 
-def _poses_by(
-    pattern: str, suffix: str, read: Callable[[Path], Pose]
-) -> Callable[[Path, Files], dict[Key, Pose]]:
-    """Poses of which each is in a file of its own."""
-
-    def poses(root: Path, files: Files) -> dict[Key, Pose]:
-        there = files_of(root, [pattern], [suffix])
-        return {key: read(path) for key, (path, _) in there.items() if key in files}
-
+def _table_poses(_root: Path, files: Files) -> dict[Key, Pose]:
+    """Those of tables in the folders of the sequences or beside them."""
+    table_of, poses = cache(PoseTable.of_folder), dict[Key, Pose]()
+    for key, (path, fields) in files.items():
+        folder = Path(fields["folder"])
+        file = FrameFile(*key, path, folder=absolute(folder))
+        if (table := table_of(folder)) and (pose := table.pose_of(file)):
+            poses[key] = pose
     return poses
 
 
+def _single_poses(
+    pattern: str, read: Callable[[Path], Pose], root: Path, files: Files
+) -> dict[Key, Pose]:
+    """Poses of which each is in a file of its own."""
+    there = files_of(root, [pattern], (".txt", ".json"))
+    return {key: read(path) for key, (path, _) in there.items() if key in files}
+
+
 _POSES: dict[str, Callable[[Path, Files], Mapping[Key, Pose]]] = {
+    "folders": _table_poses,
     "extended-cmu": _cmu_poses,
     "robotcar-seasons": _robotcar_poses,
-    "synthia": _poses_by(
-        "{series}/CameraParams/{stereo:Stereo_.*}/{camera:Omni_.*}/{name}", ".txt", read_matrix
+    "synthia": partial(
+        _single_poses,
+        "{series}/CameraParams/{stereo:Stereo_.*}/{camera:Omni_.*}/{name}",
+        read_matrix,
     ),
-    "cityscapes": _poses_by("vehicle/{split}/{city}/{name}_vehicle", ".json", read_fix),
+    "cityscapes": partial(_single_poses, "vehicle/{split}/{city}/{name}_vehicle", read_fix),
 }
 """Poses by the keys of the frames, of a folder and its files."""
 
@@ -303,7 +298,7 @@ def layouts() -> tuple[Layout, ...]:
     """The layouts in the order in which they are tried; plain folders, which accept most, last."""
     text = resources.files(__package__).joinpath("layouts.yaml").read_text("utf-8")
     entries = yaml.safe_load(text).items()
-    return *(Layout(name, **entry) for name, entry in entries), Folders()
+    return tuple(Layout(name, **entry) for name, entry in entries)
 
 
 AUTO = "auto"

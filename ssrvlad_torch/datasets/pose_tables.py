@@ -9,87 +9,29 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from unicodedata import normalize
 
 from ..files import check_regular, naming, read_text, replacing
-from .camera_poses import KITTI_360, read_colmap, read_kitti_360, words_of
-from .frame_file import FrameFile, RemoteFile
-from .names import IMAGE_SUFFIXES, absolute, absolute_folder, is_same_folder, path_ends
-from .poses import (
-    NOWHERE,
-    UNKNOWN,
-    Fix,
-    Pose,
-    Projection,
-    parse_number,
-    read_exif,
-    read_name,
-    zone_of_name,
-)
-from .trajectories import read_trajectory
+from .camera_poses import read_colmap
+from .frame_file import FrameFile
+from .names import absolute, absolute_folder, is_same_folder, path_ends
+from .poses import NOWHERE, UNKNOWN, Fix, Pose, Projection, read_exif, read_name, zone_of_name
+from .trajectories import frame_key, read_poses, read_trajectory
 
 FILE_NAME = "poses.csv"
-_FRAME_DIGITS = 10
-"""Of the number of a frame; a time in nanoseconds has more."""
-
-
-def read_poses(path: Path, projection: Projection | None = None) -> dict[str, Pose]:
-    """Poses by frame, an id or a name, in Unicode's form NFC, without the suffix of a picture.
-    Columns are ``frame,x,y`` and perhaps ``heading`` in metres and radians; or
-    ``frame,latitude,longitude`` and perhaps ``course`` in degrees clockwise from north. Another
-    table is a ValueError that names file and line."""
-    rows = csv.DictReader(io.StringIO(read_text(path)), restval="", skipinitialspace=True)
-    poses, fixes = dict[str, Pose](), dict[str, Fix]()
-    try:
-        columns = rows.fieldnames or ()
-        if repeated := next((column for column in columns if columns.count(column) > 1), ""):
-            raise ValueError(f"two columns {repeated!r}")
-        is_gps = {"frame", "latitude", "longitude"} <= set(columns)
-        missing = {"frame", "x", "y"} - set(columns)
-        if missing and not is_gps:
-            raise ValueError(f"no column {min(missing)!r}; expected frame,x,y,heading")
-        first, second, third = Fix._fields if is_gps else Pose._fields
-        for row in rows:
-            if any(more := row.get(None, ())):  # as by decimal commas, not by one at the end
-                raise ValueError(f"more cells than columns: {','.join(more)}")
-            x, y = parse_number(row[first]), parse_number(row[second])
-            direction = parse_number(row.get(third) or "nan")
-            if math.isnan(x) != math.isnan(y):
-                raise ValueError(
-                    f"{first} is {row[first]} and {second} is {row[second]}; "
-                    "expected two numbers, or nan twice"
-                )
-            key, position = _key(row["frame"]), (x, y, direction)
-            if is_gps and Fix(*position).is_known:
-                fixes[key] = Fix(*position)
-            if repr(poses.setdefault(key, Pose(*position))) != repr(Pose(*position)):  # also NaN
-                raise ValueError(f"frame {row['frame']!r} has two positions")
-    except (csv.Error, ValueError) as error:
-        raise ValueError(f"{path} line {rows.line_num}: {error}") from error
-    if is_gps:
-        converted = (projection or Projection()).poses([*fixes.values()])
-        return dict.fromkeys(poses, UNKNOWN) | dict(zip(fixes, converted, strict=True))
-    return poses
 
 
 def read_table(path: Path, projection: Projection) -> dict[str, Pose] | None:
-    """The poses of a file that has them by frame, as `read_poses`: such a ``.csv``, COLMAP's
-    ``images.txt`` or a file of KITTI-360; ``None`` for one that has them by time or number."""
-    if path.suffix.lower() == ".gpx":
-        return None
-    text = read_text(path)
-    _, words = next(words_of(path, text.replace(",", " ")), ("", []))
-    if path.suffix.lower() == ".csv":
-        by_time = text.lstrip("# ").startswith("timestamp")
-        return None if by_time else read_poses(path, projection)
+    """The poses of a file that has them by frame, see `read_poses`: such a ``.csv``, or COLMAP's
+    ``images.txt``; ``None`` for one that has them by time or number."""
+    suffix = path.suffix.lower()
+    text = "" if suffix == ".gpx" else read_text(path)
+    if suffix == ".csv" and not text.lstrip("# ").startswith("timestamp"):
+        return read_poses(path, projection)
     if path.name == "images.txt" or "IMAGE_ID, QW" in text:
-        poses = read_colmap(path, text)
-    elif len(words) in KITTI_360 and words[0].isdecimal() and len(words[0]) <= _FRAME_DIGITS:
-        poses = read_kitti_360(path, text)
-    else:
-        return None
-    return {_key(frame): pose for frame, pose in poses.items()}
+        return {frame_key(frame): pose for frame, pose in read_colmap(path, text).items()}
+    return None
 
 
 def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:
@@ -122,7 +64,7 @@ class PoseTable:
 
     def pose_of(self, file: FrameFile) -> Pose | None:
         """The pose of a frame, ``None`` without a row; an ambiguous row is a ValueError."""
-        name, folders = _key(file.name), path_ends(normalize("NFC", file.folder))[::-1]
+        name, folders = frame_key(file.name), path_ends(normalize("NFC", file.folder))[::-1]
         other = self.path.parent / file.sequence
         if not other.is_dir() or is_same_folder(str(other), file.folder):
             folders.append(file.sequence)
@@ -169,13 +111,6 @@ class PoseTable:
         return [folder for folder in folders if folder != home and folder.is_dir()]
 
 
-def _key(frame: str) -> str:
-    """An id or a name without the suffix of a picture, in Unicode's form NFC."""
-    path = PurePosixPath(frame)
-    is_picture = path.suffix.lower() in IMAGE_SUFFIXES
-    return normalize("NFC", frame.removesuffix(path.suffix) if is_picture else frame)
-
-
 def with_poses_of(
     source: str, sequences: Sequence[list[FrameFile]], projection: Projection
 ) -> list[list[FrameFile]]:
@@ -215,7 +150,7 @@ def with_poses_of(
 
 def _fix_of(file: FrameFile) -> Fix:
     with suppress(ValueError, OSError):
-        if isinstance(file, RemoteFile):
+        if file.listed:
             return read_exif(io.BytesIO(file.read()))
         check_regular(file.path)  # to open a pipe can block for ever
         return read_exif(file.path)
@@ -236,7 +171,7 @@ def with_poses_beside(
     for file in posed:
         folders.setdefault(file.path.parent, []).append(file)
     for folder, neighbours in folders.items():
-        table = None if isinstance(neighbours[0], RemoteFile) else find(folder)
+        table = None if neighbours[0].listed else find(folder)
         without = [f for f in neighbours if table and math.isnan(f.pose.x) and not table.pose_of(f)]
         if table and 2 * len(without) > len(neighbours):
             note(table.misfit(without, len(neighbours)))
@@ -246,7 +181,7 @@ def with_poses_beside(
 def with_pose(file: FrameFile, find: Callable[[Path], PoseTable | None]) -> FrameFile:
     """A file with the pose of the table that ``find`` gives for its folder, or of its name, see
     `read_name`; a ValueError if a table is damaged, or can mean two frames."""
-    if isinstance(file, RemoteFile):
+    if file.listed:
         return file
     (pose, stamp), table = read_name(file.name), find(file.path.parent)
     pose = (table and table.pose_of(file)) or pose

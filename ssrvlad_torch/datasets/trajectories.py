@@ -1,4 +1,4 @@
-"""Poses of one sequence in files of KITTI, TUM and GPX, and the poses of its frames."""
+"""Files of poses: tables by frame, and those of one sequence by time or number."""
 
 import csv
 import io
@@ -10,14 +10,19 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC
 from itertools import pairwise
-from pathlib import Path
+from operator import itemgetter
+from pathlib import Path, PurePosixPath
+from unicodedata import normalize
 
 from ..files import naming, read_text, requiring
 from .camera_poses import Y_DOWN, Z_UP, optical_axis, words_of
+from .names import IMAGE_SUFFIXES
 from .poses import UNKNOWN, Fix, Pose, Projection, parse_number
 
-_KITTI, _TUM, _EUROC = 12, 8, 17
-"""Numbers in a line."""
+_KITTI, _TUM, _EUROC, _KITTI_360 = 12, 8, 17, (13, 17)
+"""Numbers in a line; of KITTI-360 of the car and of a camera."""
+_FRAME_DIGITS = 10
+"""Of the number of a frame; a time in nanoseconds has more."""
 _SURE = "INS_SOLUTION_GOOD"
 """Of RobotCar: the receiver knows where it is."""
 _NEAREST_SECONDS = 0.02
@@ -103,22 +108,81 @@ def _times_of(names: Sequence[str], stamps: Sequence[float]) -> list[Sequence[fl
     return times + [[number * unit for number in numbers] for unit in units]
 
 
-def read_trajectory(path: Path, projection: Projection | None = None) -> Trajectory:
-    """The poses in a GPX file, or in a file of KITTI, TUM, EuRoC or RobotCar, recognised by its
-    first line. A file of another form is a ValueError that names the line.
+def read_poses(
+    path: Path, projection: Projection | None = None, by_time: bool = False
+) -> dict[str, Pose]:
+    """Poses by frame, an id or a name, in Unicode's form NFC, without the suffix of a picture.
+    Columns are ``frame,x,y`` and perhaps ``heading`` in metres and radians; or
+    ``frame,latitude,longitude`` and perhaps ``course`` in degrees clockwise from north; or, with
+    ``by_time``, RobotCar's ``timestamp,latitude,longitude`` and perhaps ``yaw`` in radians. Another
+    table is a ValueError that names file and line."""
+    key = "timestamp" if by_time else "frame"
+    rows = csv.DictReader(io.StringIO(read_text(path)), restval="", skipinitialspace=True)
+    poses, fixes = dict[str, Pose](), dict[str, Fix]()
+    try:
+        columns = rows.fieldnames or ()
+        if repeated := next((column for column in columns if columns.count(column) > 1), ""):
+            raise ValueError(f"two columns {repeated!r}")
+        is_gps = {key, "latitude", "longitude"} <= set(columns)
+        missing = {key, "x", "y"} - set(columns)
+        if missing and not is_gps:
+            raise ValueError(f"no column {min(missing)!r}; expected frame,x,y,heading")
+        first, second, third = Fix._fields if is_gps else Pose._fields
+        for row in rows:
+            if any(more := row.get(None, ())):  # as by decimal commas, not by one at the end
+                raise ValueError(f"more cells than columns: {','.join(more)}")
+            if by_time and (row.get("ins_status") or _SURE) != _SURE:
+                continue
+            x, y = parse_number(row[first]), parse_number(row[second])
+            direction = parse_number(row.get("yaw" if by_time else third) or "nan")
+            direction = math.degrees(direction) if by_time else direction
+            if math.isnan(x) != math.isnan(y):
+                raise ValueError(
+                    f"{first} is {row[first]} and {second} is {row[second]}; "
+                    "expected two numbers, or nan twice"
+                )
+            name, position = frame_key(row[key]), (x, y, direction)
+            if is_gps and Fix(*position).is_known:
+                fixes[name] = Fix(*position)
+            if repr(poses.setdefault(name, Pose(*position))) != repr(Pose(*position)):  # also NaN
+                raise ValueError(f"frame {row[key]!r} has two positions")
+    except (csv.Error, ValueError) as error:
+        raise ValueError(f"{path} line {rows.line_num}: {error}") from error
+    if is_gps:
+        converted = (projection or Projection()).poses([*fixes.values()])
+        return dict.fromkeys(poses, UNKNOWN) | dict(zip(fixes, converted, strict=True))
+    return poses
 
-    KITTI: the matrix ``(3, 4)`` from camera to world (x right, y down, z ahead). TUM: ``time x y z
-    qx qy qz qw``, z is up. EuRoC: nanoseconds, ``x y z qw qx qy qz``; the body's z is taken for the
-    camera's. RobotCar's ``ins.csv`` and ``gps.csv``, and GPX (extra ``gps``): metres of UTM, the
-    heading is the yaw or course; nothing is interpolated over more than 5 s, or between segments.
-    """
+
+def frame_key(frame: str) -> str:
+    """An id or a name without the suffix of a picture, in Unicode's form NFC."""
+    path = PurePosixPath(frame)
+    is_picture = path.suffix.lower() in IMAGE_SUFFIXES
+    return normalize("NFC", frame.removesuffix(path.suffix) if is_picture else frame)
+
+
+def read_trajectory(path: Path, projection: Projection | None = None) -> Trajectory:
+    """The poses in a GPX file, or in a file of KITTI, KITTI-360, TUM, EuRoC or RobotCar, recognised
+    by its first line. A file of another form is a ValueError that names the line.
+
+    KITTI: the matrix ``(3, 4)`` from camera to world (x right, y down, z ahead). KITTI-360: the
+    number of a frame, which counts as its time, and the matrix to a world whose z is up, ``(3, 4)``
+    of the car, which looks along its x, or ``(4, 4)`` of a camera. TUM: ``time x y z qx qy qz qw``,
+    z is up. EuRoC: nanoseconds, ``x y z qw qx qy qz``; the body's z is taken for the camera's.
+    RobotCar's ``ins.csv`` and ``gps.csv``, and GPX (extra ``gps``): metres of UTM, the heading is
+    the yaw or course; nothing is interpolated over more than 5 s, or between segments."""
     text, projection = read_text(path), projection or Projection()
     first = text.lstrip().partition("\n")[0]
     if path.suffix.lower() == ".gpx":
         with requiring("gps", f"{path} needs"), naming(path):
             return _parse_gpx(text, projection)
     if {"timestamp", "latitude", "longitude"} <= {*first.strip().split(",")}:
-        return _parse_robotcar(path, text, projection)
+        located = read_poses(path, projection, by_time=True)
+        with naming(path):
+            timed = [(parse_number(t) * 1e-6, p) for t, p in located.items() if not math.isnan(p.x)]
+        if not timed or timed != sorted(timed, key=itemgetter(0)):
+            raise ValueError(f"{path}: expected positions in order of time")
+        return Trajectory([pose for _, pose in timed], [time for time, _ in timed], _GAP_SECONDS)
     if first.startswith("$G"):
         raise ValueError(f"{path} holds sentences of NMEA; convert them to GPX (gpsbabel)")
     poses, stamps, is_first = list[Pose](), list[float](), True
@@ -128,27 +192,38 @@ def read_trajectory(path: Path, projection: Projection | None = None) -> Traject
             continue
         with naming(place):
             numbers = [parse_number(word) for word in words]
-            if len(numbers) == _KITTI:
-                poses.append(Y_DOWN.pose(numbers[3::4], numbers[2::4]))
-                continue
-            if len(numbers) == _EUROC or (len(numbers) == _TUM and "q_RS_w" in first):
-                time, x, y, z, real, i, j, k = numbers[:_TUM]
-                time *= 1e-9
-            elif len(numbers) == _TUM:
-                time, x, y, z, i, j, k, real = numbers
-            else:
-                raise ValueError(f"expected 12 numbers (KITTI) or 8 (TUM), got {len(numbers)}")
-            if any(map(math.isnan, numbers[1:_TUM])):
-                continue
-            # the file holds camera to world, `optical_axis` expects the inverse
-            poses.append(Z_UP.pose((x, y, z), optical_axis((real, -i, -j, -k))))
-            stamps.append(time)
+            time, pose = _of_line(numbers, len(words[0]), "q_RS_w" in first)
+            if time is None or not math.isnan(pose.x):
+                poses.append(pose)
+                stamps += [] if time is None else [time]
     in_order = all(before <= after for before, after in pairwise([*stamps, math.inf]))
     if stamps and (len(stamps) != len(poses) or not in_order):
-        raise ValueError(f"{path}: expected lines of 8 numbers in order of time")
+        raise ValueError(f"{path}: expected lines of one form in order of time")
     if not poses:
         raise ValueError(f"{path} holds no poses")
     return Trajectory(poses, stamps)
+
+
+def _of_line(numbers: list[float], digits: int, real_first: bool) -> tuple[float | None, Pose]:
+    """The time of a line, if it has one, and its pose; unknown if a number is."""
+    count = len(numbers)
+    if count == _KITTI:
+        return None, Y_DOWN.pose(numbers[3::4], numbers[2::4])
+    time, *matrix = numbers
+    if count in _KITTI_360 and digits <= _FRAME_DIGITS:
+        axis = matrix[0:12:4] if count == _KITTI_360[0] else matrix[2:12:4]
+        return time, Z_UP.pose(matrix[3:12:4], axis)
+    if count not in (_TUM, _EUROC):
+        raise ValueError(f"expected 12 numbers (KITTI) or 8 (TUM), got {count}")
+    x, y, z, *quaternion = numbers[1:_TUM]
+    if any(map(math.isnan, numbers[1:_TUM])):
+        return time, UNKNOWN
+    if count == _EUROC or real_first:
+        time, (real, i, j, k) = time * 1e-9, quaternion
+    else:
+        i, j, k, real = quaternion
+    # the file holds camera to world, `optical_axis` expects the inverse
+    return time, Z_UP.pose((x, y, z), optical_axis((real, -i, -j, -k)))
 
 
 def _is_header(words: Sequence[str]) -> bool:
@@ -158,25 +233,6 @@ def _is_header(words: Sequence[str]) -> bool:
             parse_number(word)
             return False
     return True
-
-
-def _parse_robotcar(path: Path, text: str, projection: Projection) -> Trajectory:
-    """Microseconds, degrees, and a yaw in radians clockwise from north."""
-    fixes, stamps = list[Fix](), list[float]()
-    for number, row in enumerate(csv.DictReader(io.StringIO(text)), 2):
-        if (row.get("ins_status") or _SURE) != _SURE:
-            continue
-        with naming(f"{path} line {number}"):
-            columns = [row[name] or "" for name in ("timestamp", "latitude", "longitude")]
-            time, latitude, longitude = map(parse_number, columns)
-            course = math.degrees(parse_number(row.get("yaw") or "nan"))
-            fix = Fix(latitude, longitude, course)
-            if fix.is_known:
-                fixes.append(fix)
-                stamps.append(time * 1e-6)
-    if not fixes or stamps != sorted(stamps):
-        raise ValueError(f"{path}: expected positions in order of time")
-    return Trajectory(projection.poses(fixes), stamps, _GAP_SECONDS)
 
 
 def _parse_gpx(text: str, projection: Projection) -> Trajectory:

@@ -4,7 +4,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import replace
 from datetime import datetime
 from fractions import Fraction
 from functools import lru_cache
@@ -26,18 +26,9 @@ _MISSING_SECONDS = 1.0
 """Between the last frame and the end that the file states, from which on it is noted."""
 
 
-@dataclass(frozen=True)
-class VideoFile(FrameFile):
-    """One frame of a video; its ``row`` is its presentation time in the units of the stream."""
-
-    @property
-    def location(self) -> str:
-        """Video and time, for messages."""
-        return f"{self.path} at {int(self.name) / 1e6:.6f} s"
-
-    def _content(self) -> bytes:
-        assert self.row is not None
-        return npy_bytes(_open(self.path, self.state).pixels(self.row))
+def _picture(file: FrameFile) -> bytes:
+    assert file.row is not None
+    return npy_bytes(_open(file.path, file.state).pixels(file.row))
 
 
 def is_video(path: Path) -> bool:
@@ -57,8 +48,9 @@ def video_files(path: Path, note: Callable[[str], object] = lambda _: None) -> l
         note(f"{path} {ends}: its end may be missing")
     for time in video.times:
         seconds = (time - video.times[0]) * video.unit
-        name, stamp = f"{round(seconds * 10**6):010d}", video.created + float(seconds)
-        files.append(VideoFile("", name, path, time, folder=folder, stamp=stamp))
+        name, place = f"{round(seconds * 10**6):010d}", f"{path} at {float(seconds):.6f} s"
+        file = FrameFile("", name, path, time, folder=folder, place=place, content=_picture)
+        files.append(replace(file, stamp=video.created + float(seconds)))
     return files
 
 

@@ -11,7 +11,6 @@ from torch import Tensor, nn
 from ..channels.channel import FEATURES as NAME
 from ..channels.hog import HOG, luma
 from ..files import one_line
-from ..segmentation.activations import is_script
 from ..segmentation.features import NetworkFeatures
 from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import classes_of, enlarged, scores_along
@@ -118,8 +117,6 @@ class _Whole(nn.Module):
 
 
 def _traced_network(labels: LabelNetwork, features: NetworkFeatures | None) -> onnx.ModelProto:
-    if any(map(is_script, nn.Module.modules(labels.network))):
-        raise ValueError("TorchScript cannot be traced; fuse the module that it was made of")
     example = torch.zeros(2, *EXAMPLE, 3, dtype=torch.uint8)
     try:
         with torch.inference_mode():

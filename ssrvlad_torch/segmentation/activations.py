@@ -56,8 +56,6 @@ def find_activations(
     """The activations of a network that are features, by the rule or by their names, in a run on
     ``numbers``, its input for one picture. An unknown name, one of something else than ``(B, C, h,
     w)`` floats, and no activation by the rule are a ValueError."""
-    if names is None and any(map(is_script, nn.Module.modules(network))):
-        raise ValueError("the activations of a TorchScript module cannot be taken")
     activations = all_activations(network, numbers)
     if names is None:
         states = [act for act in activations if act.name.startswith(HIDDEN)]
@@ -146,11 +144,6 @@ def _call_of(name: str) -> tuple[str, int]:
     return (module, int(call)) if call.isdecimal() else (name, int(not name.startswith(HIDDEN)))
 
 
-def is_script(module: nn.Module) -> bool:
-    """Whether a module is in TorchScript."""
-    return isinstance(module, torch.jit.ScriptModule)
-
-
 @contextmanager
 def _hooked(
     network: nn.Module, take: Callable[[str, int, Tensor], None], hidden: bool
@@ -178,7 +171,7 @@ def _hooked(
 
     with ExitStack() as stack:
         for name, module in nn.Module.named_modules(network):
-            if name and not is_script(module):
+            if name:
                 stack.callback(module.register_forward_hook(partial(hook, name)).remove)
         modules = nn.Module.modules(network) if hidden else ()
         published = (m for m in modules if hasattr(getattr(m, "config", None), "model_type"))

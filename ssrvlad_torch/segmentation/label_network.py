@@ -12,9 +12,9 @@ from ..files import naming
 from ..taxonomy import LabelSpace
 from .activations import captured
 from .network_outputs import (
+    UnrecognisedError,
     batched,
     choose_output,
-    class_axes,
     classes_of,
     enlarged,
     scores_along,
@@ -29,7 +29,8 @@ class LabelNetwork(nn.Module):
 
     The network takes ``(B, 3, h, w)`` floats; ``config`` is the preparation, with the size that a
     graph requires. After the first run ``output`` is the name of the output that holds labels, and
-    ``axis`` that of its classes, if it has one. Settings that do not fit a graph are a ValueError.
+    ``axis`` that of its classes, if it has one. Settings that do not fit a graph,
+    and TorchScript, are a ValueError.
     """
 
     def __init__(self, network: nn.Module, space: LabelSpace, config: SegmenterConfig) -> None:
@@ -37,6 +38,10 @@ class LabelNetwork(nn.Module):
         if isinstance(network, OnnxNetwork):
             with naming(network.path):
                 config = _completed(config, network)
+        elif any(isinstance(m, torch.jit.ScriptModule) for m in nn.Module.modules(network)):
+            raise ValueError(
+                "expected the module of which the TorchScript was made, got TorchScript"
+            )
         self.network, self.space, self.config = network, space, config
         self.output: str | None = None
         self.axis: int | None = None
@@ -55,13 +60,15 @@ class LabelNetwork(nn.Module):
         if missing := [name for name in names if name not in values]:
             raise ValueError(f"features: the network did not compute {missing[0]}")
         if self.output is None:
+            graph = self.network if isinstance(self.network, OnnxNetwork) else None
+            last, config = graph is not None and graph.channels_last, self.config
+            named = config.output, config.classes
             try:
-                name = choose_output(outputs, self.space, self.config.output, self.config.classes)
-                self.axis = self._axis_of(outputs[name], *numbers.shape[2:])
-            except ValueError as error:
-                if not isinstance(self.network, OnnxNetwork):
-                    raise
-                raise type(error)(f"{self.network.path}: {error}") from error
+                name, self.axis = choose_output(
+                    outputs, self.space, numbers.shape[2:], last, *named
+                )
+            except UnrecognisedError as error:
+                raise UnrecognisedError(f"{graph.path}: {error}" if graph else error) from error
             self.output = name
         scores = scores_along(outputs[self.output], self.axis, self.config.classes)
         return scores, [values[name] for name in names]
@@ -86,18 +93,6 @@ class LabelNetwork(nn.Module):
             with captured(self.network, names) as values:
                 tensors = tensors_of(self.network(numbers))
         return {name: batched(output, numbers) for name, output in tensors.items()}, values
-
-    def _axis_of(self, output: Tensor, height: int, width: int) -> int | None:
-        """The axis that holds the classes. If two could, the other axes are proportional to height
-        and width; of a square, the layout of the network's input decides."""
-        axes = class_axes(output, self.space, self.config.classes)
-        if len(axes) < 2:
-            return axes[0] if axes else None
-        last = isinstance(self.network, OnnxNetwork) and self.network.channels_last
-        _, second, third, fourth = output.shape
-        sides = {1: (third, fourth), 3: (second, third)}
-        fitting = [axis for axis, (h, w) in sides.items() if h * width == w * height]
-        return fitting[0] if len(fitting) == 1 else 3 if last else 1
 
 
 def _completed(config: SegmenterConfig, network: OnnxNetwork) -> SegmenterConfig:

@@ -1,6 +1,6 @@
 """Outputs of segmentation networks: which output holds labels, and the class of every pixel."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -44,23 +44,24 @@ def tensors_of(result: object) -> dict[str, Tensor]:
 def choose_output(
     outputs: Mapping[str, Tensor],
     space: LabelSpace,
+    size: Sequence[int],
+    channels_last: bool = False,
     name: str | None = None,
     classes: Classes = None,
-) -> str:
-    """The name of the output that holds labels; with a ``name`` only that can. None, or several but
-    for ``out`` or ``logits``, are an UnrecognisedError.
+) -> tuple[str, int | None]:
+    """The name of the output that holds labels and the axis of its classes, ``None`` for ids
+    without one; with a ``name`` only that can. None, or several but for ``out`` or ``logits``, are
+    an UnrecognisedError.
 
     Class scores are floats, or of 8 bits, ``(B, C, h, w)`` or ``(B, h, w, C)``, with as many
     channels as the label space has classes; ids are integers, ``(B, h, w)``, ``(B, 1, h, w)`` or
-    ``(B, h, w, 1)``."""
+    ``(B, h, w, 1)``. If two axes can be that of the classes, the others are proportional to the
+    ``size`` of the input; of a square, its layout decides, that has or not ``channels_last``."""
     if name is not None and name not in outputs:
         raise UnrecognisedError(f"there is no output {name!r}; the outputs are {_list(outputs)}")
     candidates = outputs if name is None else {name: outputs[name]}
-    fitting = {
-        key: output
-        for key, output in candidates.items()
-        if class_axes(output, space, classes) or (_holds_ids(output) and output.ndim == 3)
-    }
+    axes = {key: _class_axes(output, space, classes) for key, output in candidates.items()}
+    fitting = {key: candidates[key] for key in axes if axes[key]}
     if not fitting:
         counts = " or ".join(map(str, space.channel_counts)) or "none, for its ids have gaps"
         counts += f" of channels {classes[0]}:{classes[1]}" if classes else ""
@@ -74,7 +75,13 @@ def choose_output(
         raise UnrecognisedError(
             f"several outputs could be labels: {_list(fitting)}; expected output: NAME"
         )
-    return usual[0] if len(fitting) > 1 else next(iter(fitting))
+    chosen = usual[0] if len(fitting) > 1 else next(iter(fitting))
+    if len(axes[chosen]) == 1:
+        return chosen, axes[chosen][0]
+    (height, width), (_, second, third, fourth) = size, fitting[chosen].shape
+    sides = {1: (third, fourth), 3: (second, third)}
+    proportional = [axis for axis, (h, w) in sides.items() if h * width == w * height]
+    return chosen, proportional[0] if len(proportional) == 1 else 3 if channels_last else 1
 
 
 def channel_counts(space: LabelSpace, classes: Classes = None) -> range:
@@ -86,10 +93,11 @@ def channel_counts(space: LabelSpace, classes: Classes = None) -> range:
     return range(last, 1 << 16) if fits else range(0)
 
 
-def class_axes(output: Tensor, space: LabelSpace, classes: Classes = None) -> list[int]:
-    """Which axes of an output, the second and the last of four, can be that of the classes."""
+def _class_axes(output: Tensor, space: LabelSpace, classes: Classes) -> Sequence[int | None]:
+    """Which axes of an output, the second and the last of four, can be that of the classes, or
+    ``None`` of ids without one; empty if it cannot hold labels."""
     if output.ndim != 4:
-        return []
+        return [None] if output.ndim == 3 and _holds_ids(output) else []
     counts = channel_counts(space, classes)
     if not output.is_floating_point():
         axes = [axis for axis in (1, 3) if output.shape[axis] == 1 and _holds_ids(output)]

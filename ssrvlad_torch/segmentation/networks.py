@@ -2,11 +2,12 @@
 
 import dataclasses
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -69,8 +70,34 @@ def open_network(name: str | Path) -> NamedNetwork:
     ``labels_as``, ``arguments`` for a function, ``runtime`` for an ONNX file, and
     ``accept_defaults``. Its files are in its folder or below. What is not understood or cannot be
     used is a ValueError, what cannot be downloaded an OSError, a missing extra an ImportError."""
-    state = state_of(str(name))
-    return dataclasses.replace(_open(str(name), {}, {}), state=state)
+    state, path = state_of(str(name)), Path(name)
+    if path.suffix.lower() not in YAML:
+        return dataclasses.replace(_open(str(name), {}), state=state)
+    named, document = _named(path)
+    labels_as, arguments = document.pop("labels_as", None), document.pop("arguments", {})
+    accepted, runtime = document.pop(ACCEPT, False), document.pop("runtime", ONNX_RUNTIME)
+    with naming(path):
+        config = SegmenterConfig.of(document, _KEYS)
+        if not isinstance(arguments, dict):
+            raise ValueError(f"arguments must be names with values, got {arguments!r}")
+        if not isinstance(accepted, bool):
+            raise ValueError(f"{ACCEPT} must be true or false, got {accepted!r}")
+        if runtime not in RUNTIMES:
+            raise ValueError(f"runtime must be {' or '.join(RUNTIMES)}, got {runtime!r}")
+        if labels_as and Path(str(labels_as)).suffix.lower() in YAML:
+            labels_as = str(path_within(path.parent, labels_as))
+    for key, value in arguments.items():
+        with suppress(InputError):  # the user's code decides what else a value means
+            if (file := path_within(path.parent, value)).exists():
+                arguments[key] = str(file)
+    settings = {key: getattr(config, key) for key in document}
+    network = _open(named, settings, arguments, path.parent, runtime)
+    if runtime != getattr(network.network, "runtime", ONNX_RUNTIME):
+        raise ValueError(f"{path}: runtime: {runtime} is for ONNX files, got network: {named}")
+    assumed = network.assumed and not accepted
+    return dataclasses.replace(
+        network, name=str(path), labels_as=labels_as, assumed=assumed, state=state
+    )
 
 
 def runs_code(name: str) -> bool:
@@ -85,15 +112,13 @@ def runs_code(name: str) -> bool:
 def _open(
     name: str,
     settings: dict[str, Any],
-    arguments: dict[str, Any],
+    arguments: Mapping[str, Any] = MappingProxyType({}),
     folder: Path | None = None,
     runtime: str = ONNX_RUNTIME,
 ) -> NamedNetwork:
     """A network by its name, which stands in a YAML file in a folder, or alone."""
     path, assumed = Path(name), not _COLOURS & settings.keys()
     suffix = path.suffix.lower()
-    if suffix in YAML:
-        return _of_file(path)
     if suffix == ".onnx":
         graph = OnnxNetwork(path, runtime)
         names = graph.class_names()
@@ -105,36 +130,8 @@ def _open(
             f"{name} can only be the weights of a network; expected MODULE:NAME, a function in "
             "Python that makes the network and loads them"
         )
-    if ":" not in name:
-        raise ValueError(f"no network {name!r}; expected {_WHERE}")
-    network = _called(name, arguments, folder)
+    network = _made(name, arguments, folder)
     return NamedNetwork(name, network, SegmenterConfig(**settings), assumed=assumed)
-
-
-def _of_file(path: Path) -> NamedNetwork:
-    name, document = _named(path)
-    labels_as, arguments = document.pop("labels_as", None), document.pop("arguments", {})
-    accepted, runtime = document.pop(ACCEPT, False), document.pop("runtime", ONNX_RUNTIME)
-    with naming(path):
-        config = SegmenterConfig.of(document, _KEYS)
-        if not isinstance(arguments, dict):
-            raise ValueError(f"arguments must be names with values, got {arguments!r}")
-        if not isinstance(accepted, bool):
-            raise ValueError(f"{ACCEPT} must be true or false, got {accepted!r}")
-        if runtime not in RUNTIMES:
-            raise ValueError(f"runtime must be {' or '.join(RUNTIMES)}, got {runtime!r}")
-        if labels_as and Path(str(labels_as)).suffix.lower() in YAML:
-            labels_as = str(path_within(path.parent, labels_as))
-    settings = {key: getattr(config, key) for key in document}
-    for key, value in arguments.items():
-        with suppress(InputError):  # the user's code decides what else a value means
-            if (file := path_within(path.parent, value)).exists():
-                arguments[key] = str(file)
-    network = _open(name, settings, arguments, path.parent, runtime)
-    if runtime != getattr(network.network, "runtime", ONNX_RUNTIME):
-        raise ValueError(f"{path}: runtime: {runtime} is for ONNX files, got network: {name}")
-    assumed = network.assumed and not accepted
-    return dataclasses.replace(network, name=str(path), labels_as=labels_as, assumed=assumed)
 
 
 def _named(path: Path) -> tuple[str, dict[str, Any]]:
@@ -152,27 +149,17 @@ def _named(path: Path) -> tuple[str, dict[str, Any]]:
     return name, document
 
 
-def _called(name: str, arguments: dict[str, Any], folder: Path | None) -> nn.Module:
-    """The network that ``MODULE:NAME`` returns; an error of the function names its arguments."""
-    function = _function(name, folder)
-    try:
-        network = function(**arguments)
-    except Exception as error:  # a user's code
-        values = ", ".join(f"{key}: {value}" for key, value in arguments.items())
-        raise ValueError(f"{name}({values}) fails: {_reason(error)}") from error
-    if not isinstance(network, nn.Module):
-        raise ValueError(f"{name} gives a {type(network).__name__}; expected an nn.Module")
-    return network
-
-
-def _function(name: str, folder: Path | None) -> Callable[..., object]:
-    """The function ``MODULE:NAME``, of a module beside the YAML file, here, or on the path."""
+def _made(name: str, arguments: Mapping[str, Any], folder: Path | None) -> nn.Module:
+    """The network that the function ``MODULE:NAME`` returns, of a module beside the YAML file,
+    here, or on the path; an error of the function names its arguments."""
     module, _, function = name.partition(":")
     places = [str(place.absolute()) for place in (folder, Path()) if place is not None]
+    if not function:
+        raise ValueError(f"no network {name!r}; expected {_WHERE}")
     sys.path[:0] = places
     try:
         loaded = import_module(module)
-        network: Callable[..., object] = getattr(loaded, function)
+        make = getattr(loaded, function)
     except Exception as error:  # a user's code
         raise ValueError(f"no network {name!r}: {one_line(error)}; expected {_WHERE}") from error
     finally:
@@ -180,6 +167,13 @@ def _function(name: str, folder: Path | None) -> Callable[..., object]:
     file, beside = getattr(loaded, "__file__", None), Path(places[0], f"{module}.py")
     if file and beside.is_file() and beside.resolve() != Path(file).resolve():
         raise ValueError(f"another module {module} is loaded already, {file}; rename {beside}")
+    try:
+        network = make(**arguments)
+    except Exception as error:  # a user's code
+        values = ", ".join(f"{key}: {value}" for key, value in arguments.items())
+        raise ValueError(f"{name}({values}) fails: {_reason(error)}") from error
+    if not isinstance(network, nn.Module):
+        raise ValueError(f"{name} gives a {type(network).__name__}; expected an nn.Module")
     return network
 
 

@@ -45,11 +45,10 @@ def load_model(path: Path) -> onnx.ModelProto:
     try:
         check_regular(path)
         model = onnx.load(path, load_external_data=False)
-        for tensor in onnx.external_data_helper._get_all_tensors(model):
-            if onnx.external_data_helper.uses_external_data(tensor):
-                tensor.raw_data = _external_bytes(path.parent, tensor)
-                del tensor.external_data[:]
-                tensor.ClearField("data_location")
+        for tensor, entries in _external(model):
+            tensor.raw_data = _external_bytes(path.parent, tensor.name, entries)
+            del tensor.external_data[:]
+            tensor.ClearField("data_location")
     except InputError:
         raise
     except FileNotFoundError as error:
@@ -61,16 +60,23 @@ def load_model(path: Path) -> onnx.ModelProto:
     return model
 
 
-def _external_bytes(folder: Path, tensor: onnx.TensorProto) -> bytes:
+def _external(model: onnx.ModelProto) -> Iterator[tuple[onnx.TensorProto, dict[str, str]]]:
+    """The tensors of a model whose weights are in other files, and where they are."""
+    from onnx.external_data_helper import _get_all_tensors, uses_external_data
+
+    for tensor in filter(uses_external_data, _get_all_tensors(model)):
+        yield tensor, {entry.key: entry.value for entry in tensor.external_data}
+
+
+def _external_bytes(folder: Path, name: str, entries: Mapping[str, str]) -> bytes:
     """The weights of a tensor in a file in a folder. `onnx.load` refuses links."""
-    entries = {entry.key: entry.value for entry in tensor.external_data}
     path, length = path_within(folder, entries["location"]), entries.get("length")
     check_regular(path)
     with path.open("rb") as file:
         file.seek(int(entries.get("offset", 0)))
         content = file.read(int(length) if length else -1)
     if length and len(content) != int(length):
-        raise InputError(f"{path} ends before the weights {tensor.name!r}")
+        raise InputError(f"{path} ends before the weights {name!r}")
     return content
 
 
@@ -107,9 +113,7 @@ def external_files(path: Path) -> list[Path]:
     with requiring("onnx", "ONNX files need"):
         import onnx
     model = onnx.load(path, load_external_data=False)
-    tensors = onnx.external_data_helper._get_all_tensors(model)
-    entries = (entry for tensor in tensors for entry in tensor.external_data)
-    names = {entry.value for entry in entries if entry.key == "location"}
+    names = {entries["location"] for _, entries in _external(model)}
     return sorted(path_within(path.parent, name) for name in names)
 
 
@@ -123,7 +127,7 @@ def save_model(
 
     path = check_output(path)
     size, digest = sum(node.ByteSize() for node in model.graph.node), hashlib.sha256()
-    for tensor in _tensors(model.graph):
+    for tensor in onnx.external_data_helper._get_all_tensors(model):
         size += len(tensor.raw_data)
         digest.update(tensor.raw_data)
     with TemporaryDirectory(prefix=f".{path.name}.", dir=path.absolute().parent) as folder:
@@ -152,22 +156,9 @@ def rename(graph: onnx.GraphProto, new: Callable[[str], str]) -> None:
         node.output[:] = [name and new(name) for name in node.output]
     for value in (*graph.input, *graph.output, *graph.value_info, *graph.initializer):
         value.name = new(value.name)
-    for subgraph in _subgraphs(graph):
-        rename(subgraph, new)
-
-
-def _tensors(graph: onnx.GraphProto) -> Iterator[onnx.TensorProto]:
-    """The weights of a graph and of its subgraphs."""
-    yield from graph.initializer
-    for subgraph in _subgraphs(graph):
-        yield from _tensors(subgraph)
-
-
-def _subgraphs(graph: onnx.GraphProto) -> Iterator[onnx.GraphProto]:
-    """The bodies of loops and branches."""
-    for node in graph.node:
-        for attribute in node.attribute:
-            yield from [attribute.g] if attribute.HasField("g") else attribute.graphs
+    for attribute in (attribute for node in graph.node for attribute in node.attribute):
+        for subgraph in [attribute.g] if attribute.HasField("g") else attribute.graphs:
+            rename(subgraph, new)
 
 
 SINGLE = {"INFERENCE_PRECISION_HINT": "f32"}

@@ -76,19 +76,16 @@ class OnnxNetwork(nn.Module):
         names = list(names) or self.outputs
         array = np.ascontiguousarray(self.fed(images).numpy(force=True))
         length = self.batch or len(array)
-        parts = []
-        for first in range(0, len(array), length):
-            batch = array[first : first + length]
-            count, missing = len(batch), length - len(batch) if self.batch else 0
-            if missing:
-                batch = np.concatenate([batch, batch[-1:].repeat(missing, axis=0)])
-            arrays = self._session.run(names, {self.input: batch})
-            parts.append([array[:count] if missing else array for array in arrays])
+        missing = -len(array) % length
+        padded = np.concatenate([array, array[-1:].repeat(missing, axis=0)]) if missing else array
+        batches = (padded[first : first + length] for first in range(0, len(padded), length))
+        runs = [self._session.run(names, {self.input: batch}) for batch in batches]
         outputs = {}
-        for name, arrays in zip(names, zip(*parts, strict=True), strict=True):
+        for name, arrays in zip(names, zip(*runs, strict=True), strict=True):
             # ids (h, w) of a graph of one picture have no axis for the batch
             single = len(arrays) > 1 and length == 1 and arrays[0].ndim == 2 and len(arrays[0]) > 1
-            outputs[name] = torch.from_numpy((np.stack if single else np.concatenate)(arrays))
+            joined = torch.from_numpy((np.stack if single else np.concatenate)(arrays))
+            outputs[name] = joined[: len(array)] if missing else joined
         return outputs
 
     def fed(self, images: Tensor) -> Tensor:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import io
 import json
 import math
 import os
@@ -317,15 +316,11 @@ def space_of(network: NamedNetwork, labels_as: str = AUTO) -> LabelSpace:
 
 
 def digest_of(network: nn.Module) -> str:
-    """A digest in hex: of an ONNX graph's files, a TorchScript program, or another module's
-    ``print`` and ``state_dict()``. Modules that differ in their code alone have one digest."""
+    """A digest in hex: of an ONNX graph's files, or of a module's ``print`` and ``state_dict()``.
+    Modules that differ in their code alone have one digest."""
     if isinstance(network, OnnxNetwork):
         return network.digest
     content = hashlib.blake2b(repr(network).encode(), digest_size=16)
-    if isinstance(network, torch.jit.ScriptModule):
-        file = io.BytesIO()
-        torch.jit.save(network, file)
-        content.update(file.getvalue())
     for name, tensor in network.state_dict().items():
         content.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
         flat = tensor.detach().cpu().contiguous().reshape(-1)
