@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,9 +16,9 @@ from ..channels.channel import View
 from ..channels.hog import HOG
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
-from ..files import check_output, one_line, parse_json, replacing, requiring
+from ..files import check_output, flush, one_line, parse_json, replacing, requiring
 from ..segmentation.features import PROBES
-from ..segmentation.onnx_files import load_model, save_model
+from ..segmentation.onnx_files import load_model
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.segmenter import Segmenter
 from .differences import FEATURES, IMAGE, LABELS, difference_of, problem_of_network
@@ -39,6 +41,9 @@ OF_PICTURES = (FEATURES, HOG.name)
 HEAD = "ssrvlad/"
 """Prefix of the names of the head's nodes and tables."""
 
+
+MAX_FILE_BYTES = (1 << 31) - (1 << 20)
+"""Size limit of one file: protobuf's 2 GiB, less 1 MiB for the metadata."""
 
 STEPS = 4
 """Of `fuse`: the golden image, the network, the head, the file."""
@@ -151,7 +156,7 @@ def fuse(
 
         if head_path:
             check_output(Path(head_path))
-        save_model(model, Path(path), describe)
+        _save(model, Path(path), describe)
         if head_path:
             with replacing(Path(head_path)) as temporary:
                 temporary.write_bytes(head_part.SerializeToString())
@@ -159,6 +164,36 @@ def fuse(
         return fused
     except ValueError as error:
         raise ValueError(str(error) if name in str(error) else f"{name}: {error}") from error
+
+
+def _save(
+    model: onnx.ModelProto, path: Path, describe: Callable[[Path], Mapping[str, str]]
+) -> None:
+    """Writes an ONNX file, whole or not at all. ``describe`` takes the temporary file and returns
+    the metadata properties, or rejects the model. Above `MAX_FILE_BYTES` weights go to a second
+    file, whose name holds their digest."""
+    import onnx
+
+    path = check_output(path)
+    size, digest = sum(node.ByteSize() for node in model.graph.node), hashlib.sha256()
+    for tensor in onnx.external_data_helper._get_all_tensors(model):
+        size += len(tensor.raw_data)
+        digest.update(tensor.raw_data)
+    with TemporaryDirectory(prefix=f".{path.name}.", dir=path.absolute().parent) as folder:
+        staged = Path(folder) / path.name
+        weights = f"{path.name}.{digest.hexdigest()[:16]}.data"
+        if size > MAX_FILE_BYTES:
+            onnx.external_data_helper.convert_model_to_external_data(
+                model, location=weights, size_threshold=1024
+            )
+        onnx.save_model(model, staged)
+        onnx.helper.set_model_props(model, dict(describe(staged)))
+        onnx.save_model(model, staged)
+        if (external := staged.with_name(weights)).exists():
+            flush(external)
+            external.replace(path.with_name(weights))
+        with replacing(path) as temporary:
+            staged.replace(temporary)
 
 
 def _joined(network: onnx.ModelProto, head: onnx.ModelProto) -> onnx.ModelProto:

@@ -14,11 +14,11 @@ from ..files import one_line
 from ..segmentation.features import NetworkFeatures
 from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import classes_of, enlarged, scores_along
-from ..segmentation.onnx_files import load_model, rename
+from ..segmentation.onnx_files import load_model
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.preparation import OF_SIDES, Preparation, SegmenterConfig
 from ..stages.features import SHAPE, Features
-from .trace import OPSET, Axes, join, opset, traced, with_opset
+from .trace import OPSET, Axes, join, opset, rename, traced, with_opset
 
 if TYPE_CHECKING:
     import onnx

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,6 @@ import torch
 from torch import Tensor, nn
 
 from ..files import one_line, requiring
-from ..segmentation.onnx_files import rename
 
 if TYPE_CHECKING:
     import onnx
@@ -117,6 +116,20 @@ def _divided(number: Any, divisor: Any) -> Any:
         if number.dtype == INT32.dtype
         else aten_floor_divide(number, divisor)
     )
+
+
+def rename(graph: onnx.GraphProto, new: Callable[[str], str]) -> None:
+    """Renames every node and value of a graph and of its subgraphs. `onnx.compose.add_prefix` does
+    not rename the outer values that a loop body uses."""
+    for node in graph.node:
+        node.name = new(node.name)
+        node.input[:] = [name and new(name) for name in node.input]
+        node.output[:] = [name and new(name) for name in node.output]
+    for value in (*graph.input, *graph.output, *graph.value_info, *graph.initializer):
+        value.name = new(value.name)
+    for attribute in (attribute for node in graph.node for attribute in node.attribute):
+        for subgraph in [attribute.g] if attribute.HasField("g") else attribute.graphs:
+            rename(subgraph, new)
 
 
 def join(

@@ -29,8 +29,8 @@ class LabelNetwork(nn.Module):
 
     The network takes ``(B, 3, h, w)`` floats; ``config`` is the preparation, with the size that a
     graph requires. After the first run ``output`` is the name of the output that holds labels, and
-    ``axis`` that of its classes, if it has one. Settings that do not fit a graph,
-    and TorchScript, are a ValueError.
+    ``axis`` that of its classes, if it has one. Settings that do not fit a graph, and TorchScript,
+    are a ValueError.
     """
 
     def __init__(self, network: nn.Module, space: LabelSpace, config: SegmenterConfig) -> None:
@@ -55,22 +55,28 @@ class LabelNetwork(nn.Module):
     def run(self, images: Tensor, names: Sequence[str] = ()) -> tuple[Tensor, list[Tensor]]:
         """Class scores ``(B, C, h, w)`` or ids ``(B, h, w)`` of pictures ``(B, H, W, 3)`` uint8 in
         RGB, and the named activations, or a ValueError."""
-        numbers = self.numbers(images)
-        outputs, values = self._outputs(numbers, names)
+        numbers, config = self.numbers(images), self.config
+        graph = self.network if isinstance(self.network, OnnxNetwork) else None
+        values: Mapping[str, Tensor]
+        if graph:
+            computed = graph.outputs if self.output is None else [self.output]
+            values = graph(numbers, names=[*computed, *names])
+            outputs = {name: values[name] for name in computed}
+        else:
+            with captured(self.network, names) as values:
+                outputs = tensors_of(self.network(numbers))
         if missing := [name for name in names if name not in values]:
             raise ValueError(f"features: the network did not compute {missing[0]}")
+        outputs = {name: batched(output, numbers) for name, output in outputs.items()}
         if self.output is None:
-            graph = self.network if isinstance(self.network, OnnxNetwork) else None
-            last, config = graph is not None and graph.channels_last, self.config
+            last, size = graph is not None and graph.channels_last, numbers.shape[2:]
             named = config.output, config.classes
             try:
-                name, self.axis = choose_output(
-                    outputs, self.space, numbers.shape[2:], last, *named
-                )
+                chosen, self.axis = choose_output(outputs, self.space, size, last, *named)
             except UnrecognisedError as error:
                 raise UnrecognisedError(f"{graph.path}: {error}" if graph else error) from error
-            self.output = name
-        scores = scores_along(outputs[self.output], self.axis, self.config.classes)
+            self.output = chosen
+        scores = scores_along(outputs[self.output], self.axis, config.classes)
         return scores, [values[name] for name in names]
 
     def numbers(self, images: Tensor) -> Tensor:
@@ -80,19 +86,6 @@ class LabelNetwork(nn.Module):
         if like is None:  # an ONNX graph, or a network without weights
             return cast(Tensor, self.preparation(images))
         return cast(Tensor, self.preparation(images.to(like.device))).to(like.dtype)
-
-    def _outputs(
-        self, numbers: Tensor, names: Sequence[str]
-    ) -> tuple[Mapping[str, Tensor], Mapping[str, Tensor]]:
-        """The outputs of the network by name, and the named activations."""
-        if isinstance(self.network, OnnxNetwork):
-            outputs = self.network.outputs if self.output is None else [self.output]
-            values = self.network(numbers, names=[*outputs, *names])
-            tensors = {name: values[name] for name in outputs}
-        else:
-            with captured(self.network, names) as values:
-                tensors = tensors_of(self.network(numbers))
-        return {name: batched(output, numbers) for name, output in tensors.items()}, values
 
 
 def _completed(config: SegmenterConfig, network: OnnxNetwork) -> SegmenterConfig:

@@ -1,12 +1,9 @@
-"""ONNX files: reading with external weights, writing whole or not at all, sessions of ONNX Runtime
-and of OpenVINO."""
+"""ONNX files: reading with external weights, sessions of ONNX Runtime and of OpenVINO."""
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,22 +11,16 @@ import numpy.typing as npt
 
 from ..files import (
     InputError,
-    check_output,
     check_regular,
-    flush,
     naming,
     one_line,
     path_within,
-    replacing,
     requiring,
 )
 
 if TYPE_CHECKING:
     import onnx
 
-
-MAX_FILE_BYTES = (1 << 31) - (1 << 20)
-"""Size limit of one file: protobuf's 2 GiB, less 1 MiB for the metadata."""
 
 CPU = "CPUExecutionProvider"
 _APART = "External data path"
@@ -115,50 +106,6 @@ def external_files(path: Path) -> list[Path]:
     model = onnx.load(path, load_external_data=False)
     names = {entries["location"] for _, entries in _external(model)}
     return sorted(path_within(path.parent, name) for name in names)
-
-
-def save_model(
-    model: onnx.ModelProto, path: Path, describe: Callable[[Path], Mapping[str, str]]
-) -> None:
-    """Writes an ONNX file, whole or not at all. ``describe`` takes the temporary file and returns
-    the metadata properties, or rejects the model. Above `MAX_FILE_BYTES` weights go to a second
-    file, whose name holds their digest."""
-    import onnx
-
-    path = check_output(path)
-    size, digest = sum(node.ByteSize() for node in model.graph.node), hashlib.sha256()
-    for tensor in onnx.external_data_helper._get_all_tensors(model):
-        size += len(tensor.raw_data)
-        digest.update(tensor.raw_data)
-    with TemporaryDirectory(prefix=f".{path.name}.", dir=path.absolute().parent) as folder:
-        staged = Path(folder) / path.name
-        weights = f"{path.name}.{digest.hexdigest()[:16]}.data"
-        if size > MAX_FILE_BYTES:
-            onnx.external_data_helper.convert_model_to_external_data(
-                model, location=weights, size_threshold=1024
-            )
-        onnx.save_model(model, staged)
-        onnx.helper.set_model_props(model, dict(describe(staged)))
-        onnx.save_model(model, staged)
-        if (external := staged.with_name(weights)).exists():
-            flush(external)
-            external.replace(path.with_name(weights))
-        with replacing(path) as temporary:
-            staged.replace(temporary)
-
-
-def rename(graph: onnx.GraphProto, new: Callable[[str], str]) -> None:
-    """Renames every node and value of a graph and of its subgraphs. `onnx.compose.add_prefix` does
-    not rename the outer values that a loop body uses."""
-    for node in graph.node:
-        node.name = new(node.name)
-        node.input[:] = [name and new(name) for name in node.input]
-        node.output[:] = [name and new(name) for name in node.output]
-    for value in (*graph.input, *graph.output, *graph.value_info, *graph.initializer):
-        value.name = new(value.name)
-    for attribute in (attribute for node in graph.node for attribute in node.attribute):
-        for subgraph in [attribute.g] if attribute.HasField("g") else attribute.graphs:
-            rename(subgraph, new)
 
 
 SINGLE = {"INFERENCE_PRECISION_HINT": "f32"}
