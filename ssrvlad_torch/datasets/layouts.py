@@ -134,11 +134,10 @@ class Layout:
         """The data set in a folder; ``labels_as`` is the label space that the user named. Damaged
         files of poses, and files of one name in a folder, are a ValueError that names them."""
         sequence = _SEQUENCES.get(self.name, joined)
-        images, labels = (
-            _of_folders(root)
-            if not self.images
-            else (files_of(root, self.images, IMAGE_SUFFIXES, sequence), Files())
-        )
+        if self.images:
+            images, labels = files_of(root, self.images, IMAGE_SUFFIXES, sequence), Files()
+        else:
+            images, labels = _of_folders(root)
         space = next(iter(self.labels), None)
         name = labels_as.name if isinstance(labels_as, LabelSpace) else labels_as
         for candidate in [name] if name in self.labels else self.labels:

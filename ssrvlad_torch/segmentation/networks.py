@@ -7,7 +7,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -112,7 +111,7 @@ def runs_code(name: str) -> bool:
 def _open(
     name: str,
     settings: dict[str, Any],
-    arguments: Mapping[str, Any] = MappingProxyType({}),
+    arguments: Mapping[str, Any] | None = None,
     folder: Path | None = None,
     runtime: str = ONNX_RUNTIME,
 ) -> NamedNetwork:
@@ -130,7 +129,7 @@ def _open(
             f"{name} can only be the weights of a network; expected MODULE:NAME, a function in "
             "Python that makes the network and loads them"
         )
-    network = _made(name, arguments, folder)
+    network = _made(name, arguments or {}, folder)
     return NamedNetwork(name, network, SegmenterConfig(**settings), assumed=assumed)
 
 
