@@ -118,6 +118,8 @@ def _open(
     """A network by its name, which stands in a YAML file in a folder, or alone."""
     path, assumed = Path(name), not _COLOURS & settings.keys()
     suffix = path.suffix.lower()
+    if suffix in YAML:
+        return open_network(path)
     if suffix == ".onnx":
         graph = OnnxNetwork(path, runtime)
         names = graph.class_names()
