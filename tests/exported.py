@@ -188,9 +188,6 @@ def in_openvino(model: onnx.ModelProto) -> Callable[..., list[Any]]:
     return lambda *inputs: list(compiled(dict(zip(names, inputs, strict=True))).values())
 
 
-by_runtime = pytest.mark.parametrize("runtime", [in_onnxruntime, in_openvino])
-
-
 def edit_golden(source: Path, target: Path, change: Callable[[dict[str, Any]], object]) -> Path:
     """A copy of an exported file with another golden pair."""
     model = onnx.load(source)

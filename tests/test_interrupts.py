@@ -23,8 +23,8 @@ ADD, INDEX = ["map.py", "database", "encoding/plan.py"], ["search"]
 VECTORS = views([*range(40), *range(10, 40)])
 
 
-steps = pytest.mark.parametrize("step", [3, pytest.param(1, marks=pytest.mark.slow)])
-"""At every third line and the last ten; the slow tests interrupt at every one."""
+steps = pytest.mark.parametrize("step", [6, pytest.param(1, marks=pytest.mark.slow)])
+"""At every sixth line and the last ten; the slow tests interrupt at every one."""
 
 
 def numbers(lines, step):

@@ -92,7 +92,8 @@ def test_a_tracker_goes_on_from_a_file_with_the_names_that_wait(drawn, tmp_path)
         )
 
 
-def test_after_an_interrupted_update_later_answers_have_their_names(drawn, tmp_path):
+@pytest.mark.parametrize("step", [4, pytest.param(1, marks=pytest.mark.slow)])
+def test_after_an_interrupted_update_later_answers_have_their_names(drawn, tmp_path, step):
     """The frame was taken, or it was not; each later answer is to the frame of its name."""
     frames = labels_of(tmp_path / "today")[:8]
     lines = Lines(["search/tracker.py", "native/tracker.py"])
@@ -104,7 +105,7 @@ def test_after_an_interrupted_update_later_answers_have_their_names(drawn, tmp_p
         shown(drawn.tracker(), frames)[4:],
         shown(without, frames[:3]) and shown(without, frames[4:], 4),
     ]
-    for at in range(1, lines.count + 1):
+    for at in range(1, lines.count + 1, step):
         tracker = drawn.tracker()
         shown(tracker, frames[:3])
         assert Lines(["search/tracker.py", "native/tracker.py"], at).run(

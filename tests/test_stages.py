@@ -5,8 +5,8 @@ import kornia.morphology
 import numpy as np
 import pytest
 import torch
-from drawings import pack, random_planes
-from exported import by_runtime
+from drawings import random_planes
+from exported import in_onnxruntime, in_openvino
 from helpers import refuses
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,72 +14,17 @@ from hypothesis import strategies as st
 from ssrvlad_torch import SSRVLADConfig, reference
 from ssrvlad_torch.config import AREA_LAYERS
 from ssrvlad_torch.deployment.trace import traced
-from ssrvlad_torch.stages import shape_context, skeleton
+from ssrvlad_torch.stages import shape_context
 from ssrvlad_torch.stages.bitplanes import points, unpack
 from ssrvlad_torch.stages.boundaries import DIRECTIONS, boundaries
 from ssrvlad_torch.stages.centroid import centre_table, centroids
-from ssrvlad_torch.stages.components import drop_regions, fill_holes
-from ssrvlad_torch.stages.keypoints import end_points, intersections
 from ssrvlad_torch.stages.layers import UNKNOWN, categorise, category_table, refuse_unknown
 from ssrvlad_torch.stages.lengths import lengths
-from ssrvlad_torch.stages.morphology import dilate, erode, open_and_close
+from ssrvlad_torch.stages.morphology import dilate
 from ssrvlad_torch.stages.reduction import reduce_by_majority
 from ssrvlad_torch.stages.shape_context import log_polar_bins, shape_contexts
-from ssrvlad_torch.stages.skeleton import RULES
 from ssrvlad_torch.stages.vanishing_column import vanishing_columns
 from ssrvlad_torch.taxonomy import label_space, label_space_names
-
-
-def opened_and_closed(layer, radii):
-    """``radii`` are two digits to the base 6: of the opening and of the closing."""
-    opening, closing = divmod(radii, 6)
-    opened = reference.dilate(reference.erode(layer, opening), opening)
-    return reference.erode(reference.dilate(opened, closing), closing)
-
-
-STAGES = {
-    "dilate": (dilate, reference.dilate, 7),
-    "erode": (erode, reference.erode, 7),
-    "open and close": (lambda x, n: open_and_close(x, *divmod(n, 6)), opened_and_closed, 35),
-    "open and close by tensors": (
-        lambda x, n: open_and_close(x, *map(torch.tensor, divmod(n, 6))),
-        opened_and_closed,
-        35,
-    ),
-    "fill holes": (fill_holes, lambda x, n: x | reference.small_holes(x, n), 35),
-    "drop regions": (drop_regions, lambda x, n: x & ~reference.small_regions(x, n), 35),
-    **{
-        name: (
-            lambda x, _, r=rule: skeleton.thin(x, r),
-            lambda x, _, n=name: reference.thin(x, n),
-            0,
-        )
-        for name, rule in RULES.items()
-    },
-    "end points": (lambda x, _: end_points(x), lambda x, _: reference.end_points(x), 0),
-    "intersections": (lambda x, _: intersections(x), lambda x, _: reference.intersections(x), 0),
-}
-"""By name the stage and the reference, called with masks and a radius or an area, and the largest
-of these numbers."""
-
-
-@pytest.mark.parametrize("stage", STAGES)
-@given(
-    seed=st.integers(0, 10_000),
-    height=st.integers(1, 24),
-    width=st.integers(1, 24),
-    number=st.integers(0, 35),
-    density=st.sampled_from([0.25, 0.3, 0.5, 0.65, 0.75]),
-)
-def test_noise_equals_the_reference(stage, seed, height, width, number, density):
-    """Near the percolation threshold regions are as winding as they get."""
-    layers = np.random.default_rng(seed).random((8, height, width)) < density
-    fast, plain, largest = STAGES[stage]
-    number %= largest + 1
-    bits = pack(layers[None])
-    expected = [plain(layer, number) for layer in layers]
-    np.testing.assert_array_equal(unpack(fast(bits, number))[0], np.array(expected))
-    assert torch.equal(bits, pack(layers[None]))
 
 
 @pytest.mark.parametrize("radius", [1, 2, 3])
@@ -97,31 +42,9 @@ def test_a_centre_is_exact_where_float32_is_not():
     assert np.float32(4000 + 9000) / 2 == 6500
 
 
-def directions_of(numbers: torch.Tensor) -> torch.Tensor:
-    """``(B, 4, H, W)`` bool of ``(B, H, W)`` numbers of layers."""
-    masks = boundaries(numbers)
-    assert masks.shape == (len(numbers), len(DIRECTIONS), *numbers.shape[1:])
-    assert ((masks == 0) | (masks == 1)).all()
-    return masks.bool()
-
-
-@given(
-    seed=st.integers(0, 1000),
-    height=st.integers(1, 20),
-    width=st.integers(1, 40),
-    kinds=st.integers(1, AREA_LAYERS + 1),
-)
-def test_boundaries_equal_the_reference(seed, height, width, kinds):
-    numbers = AREA_LAYERS - np.random.default_rng(seed).integers(0, kinds, (2, height, width))
-    expected = [reference.boundaries([image == k for k in range(AREA_LAYERS)]) for image in numbers]
-    np.testing.assert_array_equal(
-        directions_of(torch.from_numpy(numbers)).numpy(), np.array(expected)
-    )
-
-
 def by_direction(drawing: np.ndarray) -> dict[str, int]:
     numbers = torch.from_numpy(np.where(drawing, 3, AREA_LAYERS))[None]
-    return dict(zip(DIRECTIONS, directions_of(numbers).sum((0, 2, 3)).tolist(), strict=True))
+    return dict(zip(DIRECTIONS, boundaries(numbers).sum((0, 2, 3)).tolist(), strict=True))
 
 
 def test_a_straight_boundary_is_two_pixels_wide():
@@ -175,22 +98,17 @@ class OfSizes(torch.nn.Module):
         return self.function(rows.shape[0], columns.shape[0])
 
 
-def in_graph(runtime, function, outputs=1):
-    examples = {"rows": (torch.zeros(7), "H"), "columns": (torch.zeros(5), "W")}
-    names = {f"n{number}": [None] * (outputs == 1) for number in range(outputs)}
-    run = runtime(traced(OfSizes(function), examples, names))
-    return lambda *sizes: run(*(np.zeros(size, np.float32) for size in sizes))
-
-
-@by_runtime
-def test_lengths_in_a_graph_are_those_of_the_config(runtime):
+def test_lengths_in_a_graph_are_those_of_the_config():
     def numbers(height, width):
         *sizes, limits = lengths(IN_PIXELS, height, width)
         return tuple(map(torch.as_tensor, (*sizes, *limits)))
 
-    run = in_graph(runtime, numbers, 4 + IN_PIXELS.rings)
-    for size in (*HUGE, *np.random.default_rng(0).integers(1, 30_000, (100, 2)).tolist()):
-        assert [int(number) for number in run(*size)] == [int(number) for number in numbers(*size)]
+    examples = {"rows": (torch.zeros(7), "H"), "columns": (torch.zeros(5), "W")}
+    model = traced(OfSizes(numbers), examples, {f"n{n}": [] for n in range(4 + IN_PIXELS.rings)})
+    for run in (in_onnxruntime(model), in_openvino(model)):
+        for size in (*HUGE, *np.random.default_rng(0).integers(1, 30_000, (100, 2)).tolist()):
+            got = run(*(np.zeros(length, np.float32) for length in size))
+            assert [*map(int, got)] == [*map(int, numbers(*size))]
 
 
 @given(st.integers(0, 10_000), st.integers(1, 40), st.integers(1, 50), st.floats(0, 1))

@@ -73,10 +73,17 @@ def write_grainy(path, times, rng, **kind):
     return write_video(path, times, draw=draw, **kind)
 
 
-@pytest.mark.parametrize(
-    "kind", [{}, H264, OPEN, REFRESH], ids=["mpeg4", "closed", "open", "refresh"]
-)
-@pytest.mark.parametrize("suffix", ["avi", "mkv", "mp4", "ts"])
+KINDS = {"mpeg4": {}, "closed": H264, "open": OPEN, "refresh": REFRESH}
+FORMS = [
+    pytest.param(
+        suffix, KINDS[name], marks=[] if suffix == "mkv" or name == "closed" else [pytest.mark.slow]
+    )
+    for suffix in ("avi", "mkv", "mp4", "ts")
+    for name in KINDS
+]
+
+
+@pytest.mark.parametrize(("suffix", "kind"), FORMS)
 def test_a_frame_is_the_same_whatever_was_read_before(tmp_path, suffix, kind):
     """Also in AVI, which has no times of presentation: H.264 gives its frames in another order."""
     files = video_files(write_video(tmp_path / f"a.{suffix}", range(40), rate=25, **kind))
@@ -158,29 +165,6 @@ def test_no_frame_shows_what_a_decoder_made_up(tmp_path, name):
             assert np.abs(decoded - pixels).mean() < 8, file.name
             right.add(place)
     assert 30 < len(right) < len(files) and {0, 1, 98, 99} <= right
-
-
-def test_what_is_damaged_behind_a_key_frame_spoils_the_frames_up_to_the_next(tmp_path):
-    """With frames that are shown in another order than they are stored."""
-    path = write_grainy(tmp_path / "a.mkv", STEADY, np.random.default_rng(0), **H264)
-    expected = [read_image(file).astype(int) for file in video_files(path)]
-    with av.open(str(path)) as container:
-        packets = [packet for packet in container.demux(video=0) if packet.size]
-    keys = [number for number, packet in enumerate(packets) if packet.is_keyframe]
-    damaged = packets[keys[2] + 1]
-    content, size = bytearray(path.read_bytes()), damaged.size * 3 // 10
-    place = content.index(bytes(damaged)) + damaged.size * 6 // 10
-    content[place : place + size] = np.random.default_rng(1).bytes(size)
-    path.write_bytes(content)
-    right = 0
-    for file, pixels in zip(video_files(path), expected, strict=True):
-        try:
-            decoded = read_image(file)
-        except ValueError:
-            continue
-        assert np.abs(decoded - pixels).mean() < 8, file.name
-        right += 1
-    assert 50 < right < 100
 
 
 @pytest.mark.parametrize("content", [b"", b"no video", b"\0" * 1000, b"#EXTM3U\n/etc/passwd\n"])

@@ -103,13 +103,9 @@ def in_the_core(preset: str) -> Batch:
 
 def compiled(preset: str) -> Batch:
     """The module compiled by torch."""
+    torch.compiler.reset()
     head = torch.compile(SSRVLAD(of_preset(preset)), fullgraph=True, backend="aot_eager")
-
-    def describe(labels: npt.NDArray[Any]) -> list[Description]:
-        torch.compiler.reset()
-        return [*map(Description, head(torch.from_numpy(labels)).numpy())]
-
-    return describe
+    return lambda labels: [*map(Description, head(torch.from_numpy(labels)).numpy())]
 
 
 def _of_file(run: Callable[..., list[Any]]) -> Batch:
