@@ -74,7 +74,7 @@ class Database:
         self._checked = self.version
 
     def _use(self, table: LanceDataset) -> None:
-        self._config, self.columns, self.origins = rows.TableMetadata.of(table.schema, self.path)
+        self._config, self.columns, self.origins = rows.metadata_of(table.schema, self.path)
         self._table, self.version = table, int(table.version)
 
     @staticmethod

@@ -51,11 +51,6 @@ class FrameRecord(NamedTuple):
         """The frame's id."""
         return id_of(self.sequence, self.name)
 
-    @property
-    def folder(self) -> str:
-        """The folder of the frame's file, empty if unknown."""
-        return folder_of(self.signature)
-
     @classmethod
     def of_id(cls, frame: str) -> FrameRecord:
         """A record with only the frame's id; a ValueError if the text is not one."""
@@ -140,8 +135,3 @@ def numbers_of(values: Iterable[object]) -> list[float]:
         )
     except (TypeError, ValueError, OverflowError):
         return []
-
-
-def folder_of(signature: str) -> str:
-    """The folder in a frame's signature."""
-    return signature.rpartition("|")[0]

@@ -21,7 +21,7 @@ from ..config import SSRVLADConfig
 from ..files import InputError, input_errors, natural_key
 from ..taxonomy import LabelSpace, label_space, label_space_names
 from .engine import lance, lance_errors, write_fragments
-from .frames import FrameRecord, FrameSet, checked_pose, folder_of, is_text
+from .frames import FrameRecord, FrameSet, checked_pose, is_text
 
 if TYPE_CHECKING:
     from lance import LanceDataset
@@ -80,49 +80,43 @@ class Origin(NamedTuple):
         return origin
 
 
-class TableMetadata(NamedTuple):
-    """A table's metadata: the settings of the first column (or ``None``), the columns of
-    descriptors, and origins by their keys."""
+Metadata = tuple[SSRVLADConfig | None, tuple[Column, ...], dict[str, Origin]]
+"""The settings of the first column (or ``None``), the columns of descriptors, and origins by their
+keys."""
 
-    config: SSRVLADConfig | None
-    columns: tuple[Column, ...]
-    origins: dict[str, Origin]
 
-    @classmethod
-    def of(cls, stored: pa.Schema, path: str) -> TableMetadata:
-        """The metadata in the schema of the table at ``path``. A table that is no database of this
-        format, is damaged, or was made by another version of the method is a ValueError."""
-        with input_errors(path, "damaged, or a database of another version"):
-            entries = {key.decode(): text.decode() for key, text in (stored.metadata or {}).items()}
-            text = entries.get(_META, "{}")
-            content = json.loads(text)
-            form = content.get("format", "")
-            if form != FORMAT and form.startswith("ssrvlad-"):
-                raise InputError(f"{path} has another format, {form}: encode it again")
-            if form != FORMAT:
-                raise InputError(f"{path} is a table of Lance, but not a database of {FORMAT}")
-            if entries.get(_DIGEST) != _digest(text):  # Lance does not notice a flipped byte
-                raise InputError(f"{path} is damaged: the checksum of its settings does not match")
-            columns = tuple(
-                Column(**{**of, "shape": tuple(of["shape"])}) for of in content["columns"]
+def metadata_of(stored: pa.Schema, path: str) -> Metadata:
+    """The metadata in the schema of the table at ``path``. A table that is no database of this
+    format, is damaged, or was made by another version of the method is a ValueError."""
+    with input_errors(path, "damaged, or a database of another version"):
+        entries = {key.decode(): text.decode() for key, text in (stored.metadata or {}).items()}
+        text = entries.get(_META, "{}")
+        content = json.loads(text)
+        form = content.get("format", "")
+        if form != FORMAT and form.startswith("ssrvlad-"):
+            raise InputError(f"{path} has another format, {form}: encode it again")
+        if form != FORMAT:
+            raise InputError(f"{path} is a table of Lance, but not a database of {FORMAT}")
+        if entries.get(_DIGEST) != _digest(text):  # Lance does not notice a flipped byte
+            raise InputError(f"{path} is damaged: the checksum of its settings does not match")
+        columns = tuple(Column(**{**of, "shape": tuple(of["shape"])}) for of in content["columns"])
+        if not stored.equals(schema(columns)):
+            raise InputError(f"{path} has other columns than a database of this version")
+        config = content["config"] and SSRVLADConfig.from_dict(content["config"])
+        if config and config.fingerprint != columns[0].fingerprint:
+            raise InputError(
+                f"{path} has fingerprint {columns[0].fingerprint}, made by another version of "
+                f"the method; the same settings have {config.fingerprint} here: encode it again"
             )
-            if not stored.equals(schema(columns)):
-                raise InputError(f"{path} has other columns than a database of this version")
-            config = content["config"] and SSRVLADConfig.from_dict(content["config"])
-            if config and config.fingerprint != columns[0].fingerprint:
-                raise InputError(
-                    f"{path} has fingerprint {columns[0].fingerprint}, made by another version of "
-                    f"the method; the same settings have {config.fingerprint} here: encode it again"
-                )
-            space = config and config.labels_as
-            if isinstance(space, str) and space not in label_space_names():
-                raise ValueError(f"label space {space!r}; expected a built-in one")
-            origins = {
-                key: Origin.of_entry(key, entries[name])
-                for name in entries
-                if (key := name.removeprefix(_ORIGIN)) != name
-            }
-        return cls(config, columns, origins)
+        space = config and config.labels_as
+        if isinstance(space, str) and space not in label_space_names():
+            raise ValueError(f"label space {space!r}; expected a built-in one")
+        origins = {
+            key: Origin.of_entry(key, entries[name])
+            for name in entries
+            if (key := name.removeprefix(_ORIGIN)) != name
+        }
+    return config, columns, origins
 
 
 def _digest(text: str) -> str:
@@ -237,6 +231,11 @@ class StoredRecords(Mapping[str, FrameRecord]):
 
     def __len__(self) -> int:
         return len(self._rows)
+
+
+def folder_of(signature: str) -> str:
+    """The folder in a frame's signature, empty if unknown."""
+    return signature.rpartition("|")[0]
 
 
 def folders_of(table: pa.Table) -> set[tuple[str, str]]:

@@ -162,13 +162,14 @@ def encode_to_memory(
     """The frames of a label space that could be encoded and those that were skipped, in order, see
     `encode`. ``columns`` are the anchors of channels that can sweep, see `Channel.describe`;
     ``progress`` is called with 1 for each frame."""
-    records, skipped = list[FrameRecord](), list[Skipped]()
+    encoded, skipped = list[FrameFile](), list[Skipped]()
     described = defaultdict[str, list[npt.NDArray[Any]]](list)
-    for result in encode(Describer(channels, space, columns), files, workers, segmenter):
+    results = encode(Describer(channels, space, columns), files, workers, segmenter)
+    for file, result in zip(files, results, strict=True):
         if isinstance(result, Skipped):
             skipped.append(result)
         else:
-            records.append(result.record)
+            encoded.append(file)
             for name, descriptor in result.descriptors.items():
                 described[name].append(descriptor)
         progress(1)
@@ -177,13 +178,12 @@ def encode_to_memory(
         rows, none = described[channel.name], np.zeros((0, *channel.shape), channel.dtype)
         descriptors[channel.name] = torch.from_numpy(np.stack(rows) if rows else none)
     first = described[channels[0].name]
-    poses = [(record.x, record.y, record.heading) for record in records]
     return FrameSet(
-        frames=tuple(record.frame for record in records),
-        sequences=tuple(record.sequence for record in records),
+        frames=tuple(file.frame for file in encoded),
+        sequences=tuple(file.sequence for file in encoded),
         channels=descriptors,
-        poses=np.array(poses, np.float64).reshape(-1, 3),
-        stamps=np.array([record.stamp for record in records], np.float64),
+        poses=np.array([file.pose for file in encoded], np.float64).reshape(-1, 3),
+        stamps=np.array([file.stamp for file in encoded], np.float64),
         empty=np.array([not descriptor.any() for descriptor in first], np.bool_),
     ), skipped
 

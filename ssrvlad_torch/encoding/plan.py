@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from ..database.database import Database
-from ..database.frames import FrameRecord, folder_of
-from ..database.rows import Origin, StoredRecords, folders_of
+from ..database.frames import FrameRecord
+from ..database.rows import Origin, StoredRecords, folder_of, folders_of
 from ..datasets.frame_file import FrameFile
 from ..datasets.names import check_sequences, is_same_folder
 from ..datasets.poses import Pose
@@ -113,7 +113,7 @@ def check_folders(files: Sequence[FrameFile], records: StoredRecords) -> None:
 
 def check_folder(file: FrameFile, record: FrameRecord) -> None:
     """Refuses a file in another folder than its stored frame, if that folder still exists."""
-    folder = record.folder
+    folder = folder_of(record.signature)
     if folder and not is_same_folder(folder, file.folder) and Path(folder).exists():
         raise ValueError(
             f"frame {file.frame!r} of the database is of {folder}, not of {file.folder}: give "

@@ -16,6 +16,7 @@ from torch import Tensor
 from ..channels.channel import Channel
 from ..database.database import Database
 from ..database.frames import FrameRecord, FrameSet
+from ..database.rows import folder_of
 from ..datasets.dataset import GroundTruth
 from ..datasets.frame_files import FrameFile, found_by
 from ..datasets.image_files import Pixels, find_image_files, read_image
@@ -89,7 +90,7 @@ class Material:
         """The pictures of a frame of the map, from the file that it was encoded from; none of a
         file that has changed or is gone."""
         record = self._stored[frame]
-        file = self._files_in(record.folder).get(record.signature + record.name)
+        file = self._files_in(folder_of(record.signature)).get(record.signature + record.name)
         origin = self.database.origins.get(record.origin)
         if file is None or origin is None or origin.label_space is None:
             return {}
