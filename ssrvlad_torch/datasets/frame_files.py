@@ -34,6 +34,74 @@ class FileKind:
     suffixes: tuple[str, ...]
     is_stack: Callable[[npt.NDArray[Any]], object]
 
+    def files_of(
+        self, source: str, topic: str | None, note: Callable[[str], object], other: Counter[str]
+    ) -> list[FrameFile]:
+        """The frames of a folder, a file, a glob or a URI; none are a ValueError. ``other`` counts
+        the suffixes of files that are passed over."""
+        if is_uri(source):
+            return remote_files(source, self.name, self.suffixes, other)
+        if not source:
+            raise ValueError("a source is empty; expected a folder, a file, a glob or a URI")
+        path = Path(source)
+        matches = [path] if path.exists() else [Path(m) for m in glob.glob(source, recursive=True)]
+        if not matches:
+            raise ValueError(f"{source} does not exist and matches no file")
+        matches.sort(key=lambda path: natural_key(str(path)))
+        for folders in (False, True):
+            paths = (match for match in matches if match.is_dir() == folders)
+            if files := [file for path in paths for file in self._at(path, topic, note, other)]:
+                return files
+        raise ValueError(
+            f"{source} holds no {self.name}; expected {', '.join(self.suffixes)} files"
+        )
+
+    def _at(
+        self, path: Path, topic: str | None, note: Callable[[str], object], other: Counter[str]
+    ) -> Iterator[FrameFile]:
+        """The frames of a folder, file, bag or video. A broken link is a frame, skipped when read,
+        and so is a bag or video that cannot be opened."""
+        if self.name == "images" and (is_bag(path) or is_video(path)):
+            try:
+                of_bag = is_bag(path)
+                yield from bag_files(path, topic, note) if of_bag else video_files(path, note)
+            except ValueError as error:
+                folder, problem = absolute(path), str(error)
+                yield FrameFile("", path.stem, path, folder=folder, stamp=0, problem=problem)
+            return
+        is_folder = path.is_dir()
+        home = absolute(path if is_folder else path.parent)
+        for entry in path.iterdir() if is_folder else (path,):
+            suffix = entry.suffix.lower()
+            is_shown = not entry.name.startswith(".") and (entry.is_file() or not entry.exists())
+            if suffix not in self.suffixes or (is_folder and not is_shown):
+                if is_shown and entry.is_file() and entry.name != FILE_NAME:
+                    other[suffix or "without suffix"] += 1
+                continue
+            length = self._length(entry) if suffix == ".npy" else None
+            if length is None:
+                yield FrameFile("", entry.stem, entry, folder=home)
+                continue
+            folder = home if is_folder else absolute(path)
+            for row in range(length):
+                yield FrameFile("", f"{entry.stem}-{row:06d}", entry, row, folder=folder)
+
+    def _length(self, path: Path) -> int | None:
+        """Frames in a ``.npy`` stack; ``None`` for a file of one frame, or a damaged one."""
+        try:
+            check_regular(path)
+            with path.open("rb") as file:
+                shape, _, dtype = npy_header(file)
+                size = file.tell() + math.prod(shape) * dtype.itemsize
+            if len(shape) > 2 and 0 in shape:
+                return 0
+            if size != path.stat().st_size:
+                return None
+            array = open_memmap(path, mode="r")
+            return len(array) if self.is_stack(array) else None
+        except Exception:  # damaged files raise any exception
+            return None
+
 
 def find_frames(
     kind: FileKind,
@@ -57,10 +125,10 @@ def find_frames(
     Of each sequence frame ``start`` and every ``every``-th after it are kept, of those that ``fps``
     leaves (`at_rate`). ``note`` gets what the user should know, and ``choose`` leaves out files
     that are no frames. No frames, and a file that is two frames, are a ValueError."""
-    finder = _Finder(kind, topic, note, Counter())
-    files = [file for source in sources for file in finder.of_source(str(source))]
-    if passed := finder.passed_over.most_common():
-        counts = ", ".join(f"{count} {suffix}" for suffix, count in passed)
+    other = Counter[str]()
+    files = [f for source in sources for f in kind.files_of(str(source), topic, note, other)]
+    if other:
+        counts = ", ".join(f"{count} {suffix}" for suffix, count in other.most_common())
         note(f"files passed over: {counts}; {kind.name} are {', '.join(kind.suffixes)}")
     if files and all(file.problem for file in files):
         raise ValueError(files[0].problem)
@@ -130,78 +198,3 @@ def found_by(find: Callable[..., list[FrameFile]], *arguments: object) -> list[F
     with suppress(ValueError):
         return find(*arguments)
     return []
-
-
-@dataclass(frozen=True)
-class _Finder:
-    """Finds the frames of a kind at sources; ``passed_over`` counts the suffixes of other files."""
-
-    kind: FileKind
-    topic: str | None
-    note: Callable[[str], object]
-    passed_over: Counter[str]
-
-    def of_source(self, source: str) -> list[FrameFile]:
-        """The frames of a folder, a file, a glob or a URI; none are a ValueError."""
-        kind = self.kind
-        if is_uri(source):
-            return remote_files(source, kind.name, kind.suffixes, self.passed_over)
-        if not source:
-            raise ValueError("a source is empty; expected a folder, a file, a glob or a URI")
-        path = Path(source)
-        matches = [path] if path.exists() else [Path(m) for m in glob.glob(source, recursive=True)]
-        if not matches:
-            raise ValueError(f"{source} does not exist and matches no file")
-        matches.sort(key=lambda path: natural_key(str(path)))
-        for folders in (False, True):
-            paths = (match for match in matches if match.is_dir() == folders)
-            if files := [file for path in paths for file in self._at(path)]:
-                return files
-        raise ValueError(
-            f"{source} holds no {kind.name}; expected {', '.join(kind.suffixes)} files"
-        )
-
-    def _at(self, path: Path) -> Iterator[FrameFile]:
-        """The frames of a folder, file, bag or video. A broken link is a frame, skipped when read,
-        and so is a bag or video that cannot be opened."""
-        if self.kind.name == "images" and (is_bag(path) or is_video(path)):
-            try:
-                of_bag, note = is_bag(path), self.note
-                yield from bag_files(path, self.topic, note) if of_bag else video_files(path, note)
-            except ValueError as error:
-                folder, problem = absolute(path), str(error)
-                yield FrameFile("", path.stem, path, folder=folder, stamp=0, problem=problem)
-            return
-        is_folder = path.is_dir()
-        home = absolute(path if is_folder else path.parent)
-        for entry in path.iterdir() if is_folder else (path,):
-            suffix = entry.suffix.lower()
-            is_shown = not entry.name.startswith(".") and (entry.is_file() or not entry.exists())
-            if suffix not in self.kind.suffixes or (is_folder and not is_shown):
-                if is_shown and entry.is_file() and entry.name != FILE_NAME:
-                    self.passed_over[suffix or "without suffix"] += 1
-                continue
-            length = _stack_length(entry, self.kind) if suffix == ".npy" else None
-            if length is None:
-                yield FrameFile("", entry.stem, entry, folder=home)
-                continue
-            folder = home if is_folder else absolute(path)
-            for row in range(length):
-                yield FrameFile("", f"{entry.stem}-{row:06d}", entry, row, folder=folder)
-
-
-def _stack_length(path: Path, kind: FileKind) -> int | None:
-    """Number of frames in a ``.npy`` stack; ``None`` for a file of one frame, or a damaged one."""
-    try:
-        check_regular(path)
-        with path.open("rb") as file:
-            shape, _, dtype = npy_header(file)
-            size = file.tell() + math.prod(shape) * dtype.itemsize
-        if len(shape) > 2 and 0 in shape:
-            return 0
-        if size != path.stat().st_size:
-            return None
-        array = open_memmap(path, mode="r")
-        return len(array) if kind.is_stack(array) else None
-    except Exception:  # damaged files raise any exception
-        return None

@@ -244,19 +244,18 @@ def _parse_gpx(text: str, projection: Projection) -> Trajectory:
         for number in re.findall(r"""\s(?:lat|lon)\s*=\s*["']([^"']*)""", point):
             parse_number(number)  # gpxpy reads also 1_0 and digits of other scripts
     fixes, stamps, starts = list[Fix](), list[float](), set[int]()
-    for track in gpxpy.parse(text).tracks:
-        for segment in track.segments:
-            starts.add(len(fixes))
-            for point in segment.points:
-                if point.time is None:
-                    number = len(fixes) + 1
-                    raise ValueError(f"point {number} has no time, as 2026-05-01T10:00:00Z")
-                time = point.time if point.time.tzinfo else point.time.replace(tzinfo=UTC)
-                stamps.append(time.timestamp())
-                if stamps[-1] < stamps[len(fixes) - 1]:
-                    raise ValueError(f"position {len(stamps)} is earlier than the one before it")
-                course = math.nan if point.course is None else float(point.course)
-                fixes.append(Fix(point.latitude, point.longitude, course))
+    for segment in (s for track in gpxpy.parse(text).tracks for s in track.segments):
+        starts.add(len(fixes))
+        for point in segment.points:
+            number = len(fixes) + 1
+            if point.time is None:
+                raise ValueError(f"point {number} has no time, as 2026-05-01T10:00:00Z")
+            time = point.time if point.time.tzinfo else point.time.replace(tzinfo=UTC)
+            if stamps and time.timestamp() < stamps[-1]:
+                raise ValueError(f"position {number} is earlier than the one before it")
+            stamps.append(time.timestamp())
+            course = math.nan if point.course is None else float(point.course)
+            fixes.append(Fix(point.latitude, point.longitude, course))
     if not fixes:
         raise ValueError("holds no positions; expected track points")
     return Trajectory(projection.poses(fixes), stamps, _GAP_SECONDS, frozenset(starts))
