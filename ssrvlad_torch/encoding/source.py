@@ -193,6 +193,7 @@ def _labelling(
     if isinstance(network, Segmenter):
         return network.label_space if labels_as in (None, AUTO) else labels_as, network
     selection, dataset = frames.selection, frames.dataset
+    asked = None if labels_as == AUTO else labels_as
     named = open_network(network) if network else None
     if named and labels_as in (None, AUTO):
         has_names = labels_as or named.class_names or named.labels_as is not None
@@ -201,7 +202,7 @@ def _labelling(
     segmenter, maker = None, None if named else database
     if maker is not None and (images or (not labels_as and _are_of(maker, pictures))):
         origin = origin_of(maker)
-        labels_as = origin.label_space or label_space(maker.config.labels_as)
+        labels_as = asked or origin.label_space or label_space(maker.config.labels_as)
         if opened and not selection.changed("segmenter_cache"):
             segmenter = opened
         else:
