@@ -15,6 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 from urllib.request import Request, urlopen
 
+import networks
 import pytest
 import torch
 import typer
@@ -83,7 +84,8 @@ ABOVE = {"baselines", "cli", "encoding", "evaluation", "loops", "map.py", "searc
 def digest_of_sources() -> bytes:
     """Of everything that a traced graph depends on, and the versions of what traces it."""
     package = ROOT / "ssrvlad_torch"
-    files = [*package.rglob("*.py"), *package.rglob("*.yaml"), ROOT / "constraints.txt"]
+    files = [*package.rglob("*.py"), *package.rglob("*.yaml"), Path(networks.__file__)]
+    files.append(ROOT / "constraints.txt")
     below = sorted(file for file in files if not ABOVE & {*file.parts[len(package.parts) :]})
     versions = ",".join(map(version, ("torch", "onnx", "onnxscript")))
     return hashlib.sha256(b"".join(map(Path.read_bytes, below)) + versions.encode()).digest()
@@ -115,8 +117,8 @@ def stored(build):
 
 @pytest.fixture(scope="session", autouse=True)
 def traced_once():
-    """Caches the commands, the graph of a head where the label space has a name, and
-    the traced parts of fused graphs."""
+    """Caches the commands, the graph of a head where the label space has a name, the traced parts
+    of fused graphs, and the graph of a network."""
     head_model = export.head_model
     stored_head = stored(head_model)
 
@@ -132,6 +134,7 @@ def traced_once():
             patch.setattr(module, "head_model", model)
         for name in ("_traced_preparation", "_traced_decision", "_traced_features"):
             patch.setattr(label_graph, name, stored(getattr(label_graph, name)))
+        patch.setattr(networks, "street_graph", stored(networks.street_graph))
         yield
 
 

@@ -122,12 +122,12 @@ def shared_street() -> Street:
 
 def write_street(path: Path, half: bool = False) -> Path:
     """`Street` as an ONNX graph with free axes, perhaps in half precision."""
-    path.write_bytes(_street_graph(half))
+    path.write_bytes(street_graph(half).SerializeToString())
     return path
 
 
 @cache
-def _street_graph(half: bool) -> bytes:
+def street_graph(half: bool) -> onnx.ModelProto:
     network, example = Street(), torch.rand(2, 3, 64, 96)
     if half:
         network, example = network.half(), example.half()
@@ -138,7 +138,7 @@ def _street_graph(half: bool) -> bytes:
             network, (example,), input_names=["images"], output_names=["scores"],
             dynamo=True, verbose=False, dynamic_shapes=(axes,),
         )  # fmt: skip
-    return program.model_proto.SerializeToString()
+    return program.model_proto
 
 
 def write_graph(

@@ -18,6 +18,7 @@ from networks import (
     PLAIN,
     Street,
     Strided,
+    colour_network,
     photo,
     shared_street,
     write_graph,
@@ -132,25 +133,19 @@ def test_a_users_own_export_of_paper_is_refused(tmp_path):
         torch.onnx.export(whole, (torch.rand(2, 3, 66, 98),), tmp_path / "own.onnx", dynamo=True)
 
 
-def test_a_users_own_export_of_network_and_head_is_the_fused_file(tmp_path):
+def test_a_users_own_export_of_network_and_head_gives_the_descriptors_of_both(tmp_path):
     """At other sizes than the traced one."""
-    config = SSRVLADConfig.from_preset("default", labels_as=SPACE)
-    torch.manual_seed(0)
-    network = nn.Conv2d(3, CLASSES, 3, padding=1).eval()
-    segmenter = Segmenter(network, SPACE, PLAIN)
-    fuse(segmenter, config, tmp_path / "place.onnx")
-    whole, auto = nn.Sequential(network, SSRVLAD(config)), torch.export.Dim.AUTO
-    dims = ({0: auto, 2: auto, 3: auto},)
+    whole = nn.Sequential(colour_network(), SSRVLAD(CONFIG)).eval()
+    dims = (dict.fromkeys((0, 2, 3), torch.export.Dim.AUTO),)
     example = (torch.rand(2, 3, 66, 98),)
     file = tmp_path / "own.onnx"
     torch.onnx.export(whole, example, file, dynamo=True, dynamic_shapes=dims, verbose=False)
     own = session(file)
     for size in ((66, 98), (133, 171), (171, 300)):
-        images = pictures(*size, count=3)
-        prepared = segmenter.labels.preparation(torch.from_numpy(images)).numpy()
-        (descriptor,) = own.run(None, {own.get_inputs()[0].name: prepared})
-        fused = run_of(tmp_path / "place.onnx")({"image": images})["descriptor"]
-        np.testing.assert_allclose(descriptor, fused, rtol=0, atol=1e-6)
+        images = torch.from_numpy(pictures(*size, count=3)).permute(0, 3, 1, 2) / 255
+        (descriptor,) = own.run(None, {own.get_inputs()[0].name: images.numpy()})
+        with torch.no_grad():
+            np.testing.assert_allclose(descriptor, whole(images), rtol=0, atol=1e-6)
         assert descriptor.any()
 
 

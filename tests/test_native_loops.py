@@ -107,13 +107,13 @@ def test_a_return_in_another_light_is_that_of_the_oracle():
 
 
 def test_an_empty_frame_is_no_place_whatever_other_channels_see():
-    """The first 30 frames of a street have no label map; then the whole street comes again."""
+    """The first 20 frames of a street have no label map; then the whole street comes again."""
     channels = [SHAPES, SIGNS]
-    frames = described(unit(STREET[:120])[[*range(120), *range(120)]], *channels)
-    frames["ssr-vlad"][:30] = 0
-    steps = assert_as_the_oracle(frames, np.arange(240) % 120 == 0, channels)[120:]
-    assert min(step.candidate for step in steps) >= 30
-    assert count(steps[:30]) == 0 and count(steps[30:]) > 60
+    frames = described(unit(STREET[:80])[[*range(80)] * 2], *channels)
+    frames["ssr-vlad"][:20] = 0
+    steps = assert_as_the_oracle(frames, np.arange(160) % 80 == 0, channels)[80:]
+    assert min(step.candidate for step in steps) >= 20
+    assert count(steps[:20]) == 0 and count(steps[20:]) > 40
 
 
 def test_a_frame_is_empty_where_the_first_channel_is_zero_signs_too():
@@ -134,15 +134,15 @@ def test_an_old_sequence_is_left_where_it_fits_no_longer(channels):
     assert count(steps[142:]) == 0 or channels == [SHAPES]
 
 
-@pytest.mark.parametrize("earlier", [0, 80])
+@pytest.mark.parametrize("earlier", [0, 50])
 def test_two_passes_of_a_street_are_one_place_to_the_third(earlier):
     """The second pass closed loops with the first one, whose frames came or were known."""
     channels = [SHAPES, SIGNS]
-    noise = np.random.default_rng(0).normal(0, 0.02, (240, 480))
-    frames = described(unit(PLACES[[*range(80)] * 3] + noise), *channels)
-    steps = assert_as_the_oracle(frames, np.arange(240) % 80 == 0, channels, earlier)
-    assert count(steps[-70:]) > 60 and not count(steps, Reason.AMBIGUOUS)
-    assert all((160 + row - step.candidate) % 80 == 0 for row, step in enumerate(steps[-70:], 10))
+    noise = np.random.default_rng(0).normal(0, 0.02, (150, 480))
+    frames = described(unit(PLACES[[*range(50)] * 3] + noise), *channels)
+    steps = assert_as_the_oracle(frames, np.arange(150) % 50 == 0, channels, earlier, 25)
+    assert count(steps[-40:]) > 35 and not count(steps, Reason.AMBIGUOUS)
+    assert all((100 + row - step.candidate) % 50 == 0 for row, step in enumerate(steps[-40:], 10))
 
 
 # ---- what changes nothing
@@ -153,18 +153,6 @@ def stream_of(length, *channels):
     vectors, names = noisy_stream(5, length, 110, [length // 2])
     starts = np.array([a != b for a, b in zip(names, ["", *names], strict=False)])
     return described(vectors[:, 0], *channels), starts
-
-
-def test_the_order_of_further_channels_changes_nothing():
-    frames, starts = stream_of(300, SHAPES, SIGNS, VECTORS)
-    one, other = (
-        run(Loops(channels), frames, starts)
-        for channels in ([SHAPES, SIGNS, VECTORS], [SHAPES, VECTORS, SIGNS])
-    )
-    assert [step.reason for step in one] == [step.reason for step in other]
-    for name in ("score", "probability"):
-        numbers = [[getattr(step, name) or 0 for step in steps] for steps in (one, other)]
-        np.testing.assert_allclose(*numbers, atol=1e-6)
 
 
 @pytest.mark.parametrize("scan_above", [50_000, 500])
@@ -178,23 +166,6 @@ def test_the_number_of_threads_changes_no_bit(scan_above):
         last = rows_of(frames, slice(8990, None))
         steps.append(run(stream, last, starts[8990:], threads=threads))
     assert steps[0] == steps[1]
-
-
-def test_known_frames_count_as_if_they_had_come():
-    """The scores of the next frames are the same; weights and chance, of one channel alone, are
-    known of a frame more or less."""
-    frames, starts = stream_of(300, SIGNS)
-    came, earlier = Loops([SIGNS]), Loops([SIGNS])
-    run(came, rows_of(frames, slice(200)), starts[:200])
-    earlier.extend(rows_of(frames, slice(200)), None, starts[:200])
-    first, second = (
-        run(stream, rows_of(frames, slice(200, None)), np.arange(100) == 0)
-        for stream in (came, earlier)
-    )
-    pairs = zip(first, second, strict=True)
-    same = [(a.score, b.score) for a, b in pairs if a.score and a.candidate == b.candidate]
-    assert len(same) > 90
-    np.testing.assert_allclose(*zip(*same, strict=True), atol=1e-6)
 
 
 def test_descriptors_come_back_as_they_were_given():
