@@ -20,6 +20,7 @@ import sys
 import sysconfig
 import tempfile
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -143,21 +144,28 @@ def compile_core(folder: Path, compiler: Sequence[str], library: Path) -> str:
     """Compiles the sources of a folder to a library; returns why not, or nothing."""
     sources = sorted(file for file in folder.iterdir() if file.suffix in SUFFIXES)
     source = b"".join(file.read_bytes() for file in sources)
-    digest = f'-DSSRVLAD_SOURCE="{hashlib.sha256(source).hexdigest()}"'
+    command = [*compiler, *FLAGS, f'-DSSRVLAD_SOURCE="{hashlib.sha256(source).hexdigest()}"']
     compiled = [file for file in sources if file.suffix == ".cpp"]
-    command = [*compiler, *FLAGS, digest, *compiled, "-o", library]
-    if ".so" in library.name:  # else operators of the C++ library are exported too
-        command.append(f"-Wl,--version-script={folder / 'exports.map'}")
+    # else operators of the C++ library are exported too
+    own = [f"-Wl,--version-script={folder / 'exports.map'}"] if ".so" in library.name else []
+    with tempfile.TemporaryDirectory() as made, ThreadPoolExecutor(os.cpu_count()) as pool:
+        objects = [Path(made) / f"{file.stem}.o" for file in compiled]
+        pairs = zip(compiled, objects, strict=True)
+        steps = [[*command, "-c", file, "-o", target] for file, target in pairs]
+        problems = filter(None, pool.map(_problem_of, steps))
+        return next(problems, "") or _problem_of([*command, *objects, "-o", library, *own])
+
+
+def _problem_of(command: Sequence[str | Path]) -> str:
+    """Why a compiler fails, or nothing."""
     try:
         done = subprocess.run(command, check=False, capture_output=True, text=True)
     except OSError as error:
-        return f"{compiler[0]}: {error.strerror}"
-    if done.returncode:
-        lines = done.stderr.strip().splitlines() or ["?"]
-        return (
-            f"{compiler[0]} failed: {next((line for line in lines if 'error' in line), lines[0])}"
-        )
-    return ""
+        return f"{command[0]}: {error.strerror}"
+    if not done.returncode:
+        return ""
+    lines = done.stderr.strip().splitlines() or ["?"]
+    return f"{command[0]} failed: {next((line for line in lines if 'error' in line), lines[0])}"
 
 
 def build_for_browsers(root: Path, module: Path) -> str:
