@@ -149,5 +149,4 @@ def test_numbers_of_numpy_are_numbers():
     ],
 )
 def test_wrong_settings_are_refused(settings, message):
-    with pytest.raises(ValueError, match=message):
-        LoopConfig(**settings)
+    refuses(message, LoopConfig, **settings)

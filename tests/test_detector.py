@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 import torch
-from helpers import street
+from helpers import refuses, street
 from networks import photo
 
 from ssrvlad_torch import LoopDetector, Map, Segmenter, native
@@ -53,8 +53,7 @@ def test_what_is_no_picture_is_refused_and_leaves_no_trace(drives):
 
 def test_a_path_is_no_database():
     for call in (LoopDetector().save, LoopDetector.load):
-        with pytest.raises(ValueError, match=r"such as Database\.open\(path\), got 'mem\.ssrdb'"):
-            call("mem.ssrdb")
+        refuses(r"such as Database\.open\(path\), got 'mem\.ssrdb'", call, "mem.ssrdb")
 
 
 def test_without_a_network_a_picture_is_no_label_map():

@@ -30,14 +30,6 @@ def test_nothing_that_can_be_described(ssrvlad, database, tmp_path):
     )
 
 
-def test_enough_references_tell_how_sure(ssrvlad, database, maps):
-    write_maps(maps, range(6, 30))
-    ssrvlad("encode", maps, "-o", database)
-    _, out, err = ssrvlad("query", database, maps, "--json")
-    assert 0 < json.loads(out.splitlines()[0])["confidence"] < 1
-    assert not any("too few" in line for line in err)
-
-
 def test_label_maps_of_two_spaces_are_told_apart(ssrvlad, database, maps, tmp_path):
     other = write_maps(tmp_path / "tuesday", range(3))
     ssrvlad("encode", other, "-o", database, "--labels-as", "cityscapes-trainids")

@@ -132,44 +132,28 @@ def test_only_rows_that_are_allowed_are_candidates():
     assert others and decision.rows.min() >= rows - 8
 
 
-def without(vectors, mean):
-    return unit(unit(vectors) - mean)
-
-
+@pytest.mark.parametrize("kind", ["vectors", "signs"])
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=10)
-def test_vectors_lose_the_mean_of_the_queries_so_far_and_of_ten_frames_like_the_map(seed):
+def test_rows_lose_the_mean_of_the_queries_so_far_and_of_ten_frames_like_the_map(kind, seed):
     """Judged alone, the score of the first candidate is its cosine."""
     rng = np.random.default_rng(seed)
-    rows, queries = (unit(rng.normal(size=(count, 32)) + 0.5) for count in (80, 12))
+    if kind == "vectors":
+        rows, queries = (unit(rng.normal(size=(count, 32)) + 0.5) for count in (80, 12))
+        there, here = rows, queries
+    else:
+        rows, queries = (rng.integers(0, 256, (n, 4, 2, 4), dtype=np.uint8) | 1 for n in (80, 12))
+        there, here = (
+            2.0 * np.unpackbits(signs.reshape(len(signs), -1), axis=1) - 1
+            for signs in (rows, queries)
+        )
     town = DescriptorMap([50, 30])
-    town.add("v", rows)
-    decision = town.query({"v": queries}, follow="online", top=80)
-    sides = np.concatenate([without(part, part.mean(0)) for part in (rows[:50], rows[50:])])
+    town.add("x", rows)
+    decision = town.query({"x": queries}, sweep=False, follow="online", top=80)
+    sides = np.concatenate([part - part.mean(0) for part in (there[:50], there[50:])])
     assert not decision.follows.all()
     for query in np.flatnonzero(~decision.follows):
-        total = queries[: query + 1].sum(0) + BEFORE * rows.mean(0)
-        expected = sides @ without(queries[query], total / (query + 1 + BEFORE))
-        scores = np.empty(80)
-        scores[decision.rows[query]] = decision.scores[query]
-        np.testing.assert_allclose(scores, expected, atol=2e-6)
-
-
-@given(seed=st.integers(0, 1000))
-@settings(max_examples=10)
-def test_signs_lose_the_mean_of_the_queries_so_far_and_of_ten_frames_like_the_map(seed):
-    rng, shape = np.random.default_rng(seed), (4, 2, 4)
-    rows, queries = (rng.integers(0, 256, (n, *shape), dtype=np.uint8) | 1 for n in (80, 12))
-    town = DescriptorMap([50, 30])
-    town.add("s", rows)
-    decision = town.query({"s": queries}, sweep=False, follow="online", top=80)
-    plain, here = (
-        2.0 * np.unpackbits(signs.reshape(len(signs), -1), axis=1) - 1 for signs in (rows, queries)
-    )
-    sides = np.concatenate([part - part.mean(0) for part in (plain[:50], plain[50:])])
-    assert not decision.follows.all()
-    for query in np.flatnonzero(~decision.follows):
-        total = here[: query + 1].sum(0) + BEFORE * plain.mean(0)
+        total = here[: query + 1].sum(0) + BEFORE * there.mean(0)
         expected = oracle.cosines((here[query] - total / (query + 1 + BEFORE))[None], sides)[0]
         scores = np.empty(80)
         scores[decision.rows[query]] = decision.scores[query]

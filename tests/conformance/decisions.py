@@ -13,8 +13,8 @@ import run_onnx
 from built import Fixtures
 from drawings import SPACE
 from exported import of_preset
-from helpers import outcome, write_map, write_maps
-from loop_streams import CAMVID, CONFIG, SECOND, SEEDS, objects, picture
+from helpers import outcome, write_map
+from loop_streams import CAMVID, CONFIG, SECOND, objects, picture, write_drive
 from networks import write_moved_drives, write_other_drives
 from oracles import loops as oracle
 from PIL import Image
@@ -50,20 +50,15 @@ class Scene(NamedTuple):
     labels_as: str | None = None
 
 
-def as_arrays(folder: Path, source: Path) -> Path:
-    """The frames of a folder as arrays, which C++ reads."""
-    folder.mkdir(parents=True)
-    for file in source.iterdir():
-        np.save(folder / f"{file.stem}.npy", np.asarray(Image.open(file)))
-    return folder
-
-
 def arrays_of(scene: Scene) -> list[Path]:
-    """The folders of a scene as arrays."""
+    """The folders of a scene as arrays, which C++ reads."""
     folders = [scene.model.parent / "arrays" / folder.name for folder in scene.folders]
     for folder, source in zip(folders, scene.folders, strict=True):
-        if not folder.exists():
-            as_arrays(folder, source)
+        if folder.exists():
+            continue
+        folder.mkdir(parents=True)
+        for file in source.iterdir():
+            np.save(folder / f"{file.stem}.npy", np.asarray(Image.open(file)))
     return folders
 
 
@@ -264,14 +259,8 @@ ASKED = [
 
 def of_a_stream(folder: Path, fixtures: Fixtures) -> Scene:
     """Forty label maps, and fourteen of them again."""
-    stream, model = folder / "stream", folder / "head.onnx"
-    seeds = dict(enumerate(SEEDS))
-    for number, seed in seeds.items():
-        write_maps(folder / "drawn", [seed])
-        stream.mkdir(exist_ok=True)
-        (folder / "drawn" / f"{seed:03d}.png").rename(stream / f"{number:02d}.png")
-    export_head(of_preset("default"), model)
-    return Scene(model, [stream])
+    export_head(of_preset("default"), folder / "head.onnx")
+    return Scene(folder / "head.onnx", [write_drive(folder / "stream")])
 
 
 def of_two_drives(folder: Path, fixtures: Fixtures) -> Scene:

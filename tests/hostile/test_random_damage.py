@@ -1,5 +1,5 @@
 """Randomly damaged files for every reader: each is read, or refused by a ValueError or an OSError
-within ten seconds. `test_sourcerun.py` tries many more."""
+within ten seconds. `test_random_run.py` tries many more."""
 
 from collections.abc import Callable
 from pathlib import Path
