@@ -45,6 +45,12 @@ LONGEST = [
     "descriptors",
     "export_package",
     "guides",
+    "readme",
+    "fuse",
+    "against",
+    "wheel",
+    "cli",
+    "imports",
 ]
 """Files that take minutes, each with what only it makes."""
 
