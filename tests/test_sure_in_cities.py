@@ -78,18 +78,8 @@ CASES = {
 """Frames, the drive in whose map they are looked for, and the drive that they are of."""
 
 
-OFTEN = ("as it is", "foreign", "half of the map")
-"""The others are seen offline; the slow tests ask all of each mode."""
-ASKED = [
-    pytest.param(
-        case, steps, marks=[] if steps == "offline" or case in OFTEN else [pytest.mark.slow]
-    )
-    for case in CASES
-    for steps in STEPS
-]
-
-
-@pytest.mark.parametrize(("case", "steps"), ASKED)
+@pytest.mark.parametrize("steps", STEPS)
+@pytest.mark.parametrize("case", CASES)
 def test_what_is_accepted_is_right_and_the_interval_holds(case, steps):
     frames, place, *asked = CASES[case]
     found, wrong = found_in(frames, place, steps, *asked)
