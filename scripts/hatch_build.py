@@ -147,13 +147,13 @@ def compile_core(folder: Path, compiler: Sequence[str], library: Path) -> str:
     command = [*compiler, *FLAGS, f'-DSSRVLAD_SOURCE="{hashlib.sha256(source).hexdigest()}"']
     compiled = [file for file in sources if file.suffix == ".cpp"]
     # else operators of the C++ library are exported too
-    own = [f"-Wl,--version-script={folder / 'exports.map'}"] if ".so" in library.name else []
-    with tempfile.TemporaryDirectory() as made, ThreadPoolExecutor(os.cpu_count()) as pool:
-        objects = [Path(made) / f"{file.stem}.o" for file in compiled]
+    exports = [f"-Wl,--version-script={folder / 'exports.map'}"] if ".so" in library.name else []
+    with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(os.cpu_count()) as pool:
+        objects = [Path(scratch) / f"{file.stem}.o" for file in compiled]
         pairs = zip(compiled, objects, strict=True)
         steps = [[*command, "-c", file, "-o", target] for file, target in pairs]
         problems = filter(None, pool.map(_problem_of, steps))
-        return next(problems, "") or _problem_of([*command, *objects, "-o", library, *own])
+        return next(problems, "") or _problem_of([*command, *objects, "-o", library, *exports])
 
 
 def _problem_of(command: Sequence[str | Path]) -> str:

@@ -147,7 +147,6 @@ def test_a_database_is_a_source_of_queries(
     file = write_truth(tmp_path / "truth.json", truth)
     code, out, _ = ssrvlad("evaluate", database, other, "--ground-truth", file, "--json")
     assert (code, json.loads(out)["recall_at"]["1"], json.loads(out)["queries"]) == (0, 1.0, 4)
-    assert "is a database: expected no --every" in refusal("query", database, other, "--every", 2)
     paper = tmp_path / "paper.ssrdb"
     encode(tuesday, "-o", paper, "--preset", "paper")
     assert "their descriptors do not compare" in refusal("query", database, paper)

@@ -72,12 +72,18 @@ JOBS = {
 }
 
 
+@pytest.fixture(scope="module", params=JOBS)
+def usual(request, tmp_path_factory):
+    """A job, and its results by torch's usual default."""
+    job = JOBS[request.param]
+    return job, [*job(tmp_path_factory.mktemp("usual"))]
+
+
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float16, torch.bfloat16])
-@pytest.mark.parametrize("job", JOBS)
-def test_the_default_dtype_changes_nothing(job, dtype, tmp_path_factory):
-    expected = JOBS[job](tmp_path_factory.mktemp("usual"))
+def test_the_default_dtype_changes_nothing(usual, dtype, tmp_path):
+    job, expected = usual
     with default(dtype):
-        results = JOBS[job](tmp_path_factory.mktemp("other"))
+        results = job(tmp_path)
     for result, right in zip(results, expected, strict=True):
         if isinstance(right, torch.Tensor):
             assert result.dtype == right.dtype and torch.equal(result, right)

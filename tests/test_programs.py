@@ -25,8 +25,8 @@ def program(request, main_of):
 
     def run(*words):
         *words, town = words if str(words[-1]).endswith("town.npy") else (*words, None)
-        given = ("--database", town) if town else ()
-        code, out, errors = main_of(run_onnx.main, "run_onnx.py", *words, *given)
+        options = ("--database", town) if town else ()
+        code, out, errors = main_of(run_onnx.main, "run_onnx.py", *words, *options)
         return code, out.splitlines(), errors
 
     return run

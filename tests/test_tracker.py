@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from loop_streams import unit
 from oracles import recognition as oracle
 from test_decide import decide, noisy
 
@@ -16,10 +17,6 @@ ROWS, QUERIES, FIRST = [33, 67, 40], 70, 40
 FIELDS = ("scores", "rows", "right", "spread", "together", "follows")
 BEFORE = 10
 """Frames like the mean of the map that are added to the mean of a sequence."""
-
-
-def unit(vectors):
-    return (vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)).astype(np.float32)
 
 
 def town_and_queries(seed=0, strength=0.5):
