@@ -6,22 +6,23 @@
 #include <random>
 
 #include "evidence.hpp"
+#include "parallel.hpp"
 
 namespace places {
 
 namespace {
 constexpr Size KEPT = Size{1} << 24;  // numbers that are kept rather than computed again
+constexpr Size BLOCK = 16;            // queries that are shared among threads
 
 // ------------------------------------------------------------------------------------------ following
 
-// Keeps one belief in `stride`; the others are computed again.
-void follow_offline(const Filter &filter, const Evidence &evidence,
-                    const std::vector<Size> &queries, Places &places) {
+// Keeps one belief in `stride`; the others are computed again. `kept` may have all of them.
+void follow_offline(const Filter &filter, const Evidence &evidence, const std::vector<Size> &queries, int threads,
+                    std::vector<Seen> kept, Places &places) {
   const auto count = static_cast<Size>(queries.size());
   Walk walk{filter, {}};
-  std::vector<Seen> kept;
   Size stride = 1;
-  for (Size query = 0; query < count; ++query) {
+  for (Size query = static_cast<Size>(kept.size()); query < count; ++query) {
     walk.step(evidence, queries[query]);
     if (!query && count * static_cast<Size>(walk.now.belief->mapped.size()) > KEPT)
       stride = static_cast<Size>(std::sqrt(static_cast<double>(count)));
@@ -29,6 +30,8 @@ void follow_offline(const Filter &filter, const Evidence &evidence,
   }
   Seen later;
   Future future;
+  std::vector<float> spare;
+  std::vector<std::pair<Seen, std::pair<std::vector<float>, double>>> smoothed;  // of the last queries, backwards
   for (Size start = (count - 1) / stride * stride; start >= 0; start -= stride) {
     std::vector<Seen> stretch = {kept.back()};
     walk.now = kept.back();
@@ -40,11 +43,18 @@ void follow_offline(const Filter &filter, const Evidence &evidence,
     for (Size query = start + static_cast<Size>(stretch.size()) - 1; query >= start; --query) {
       const Seen now = stretch.back();
       stretch.pop_back();
-      future = later.sight
-                   ? filter.before(*now.belief, later.sight->rows, later.sight->likelihood, future)
-                   : filter.none(*now.belief);
-      place(filter, *now.sight, filter.smoothed(*now.belief, future), query, places);
+      Future here = later.sight ? filter.before(*now.belief, later.sight->rows, *later.likelihood, future, std::move(spare))
+                                : filter.none(*now.belief);
+      spare = std::move(future.mapped);
+      future = std::move(here);
+      smoothed.emplace_back(now, filter.smoothed(*now.belief, future));
       later = now;
+      if (query % BLOCK) continue;
+      over_blocks(static_cast<Size>(smoothed.size()), 1, threads, [&](Size at, Size) {
+        const auto &[seen, beliefs] = smoothed[static_cast<std::size_t>(at)];
+        place(filter, *seen.sight, beliefs, query + static_cast<Size>(smoothed.size()) - 1 - at, places);
+      });
+      smoothed.clear();
     }
   }
 }
@@ -58,10 +68,18 @@ std::vector<Size> at_random(Size count) {
   return order;
 }
 
-// The likeliest course and its gain. A course that trails by `trailing` rests, and goes on at the end if the
-// likeliest one did not gain as it had until then.
-std::pair<std::size_t, double> likeliest_of(const Evidence &evidence, const std::vector<Course> &tried) {
-  Trial trial(evidence.map(), tried);
+// A course and its gain, 0 without one; what was seen by each of its streams, if that is kept.
+struct Likeliest {
+  Course course;
+  double gain = 0;
+  std::vector<std::vector<Seen>> past;
+};
+
+// A course that trails by `trailing` rests, and goes on at the end if the likeliest one did not gain as it had
+// until then.
+Likeliest likeliest_of(const Evidence &evidence) {
+  const std::vector<Course> tried = courses();
+  Trial trial(evidence.map(), tried, KEPT);
   std::vector<std::size_t> running(tried.size());
   std::iota(running.begin(), running.end(), 0);
   Size rested = 0;  // the query at which the last one came to rest, and the gain there
@@ -81,7 +99,7 @@ std::pair<std::size_t, double> likeliest_of(const Evidence &evidence, const std:
     for (std::size_t course = 0; course < tried.size(); ++course)
       while (trial.count(course) < evidence.queries()) trial.step(evidence, trial.count(course), course);
   const std::size_t best = likeliest(trial.gains());
-  return {best, trial.gains()[best]};
+  return {tried[best], trial.gains()[best], trial.past(best)};
 }
 
 // Whether the queries gain by a course as much in a random order.
@@ -95,14 +113,13 @@ bool gains_at_random(const Evidence &evidence, const Course &course, double gain
   return trial.gains().front() > MODEL.by_rows * gain;
 }
 
-// The likeliest course and its gain; no gain if there is hardly any, or as much in a random order.
-std::pair<Course, double> course_of(const Evidence &evidence) {
+// The likeliest course; none if there is hardly any gain, or as much in a random order.
+Likeliest course_of(const Evidence &evidence) {
   if (evidence.queries() < 2) return {};
-  const std::vector<Course> tried = courses();
-  const auto [best, gain] = likeliest_of(evidence, tried);
+  Likeliest best = likeliest_of(evidence);
   const double least = std::max(MODEL.least_gain, MODEL.least_rate * static_cast<double>(evidence.queries()));
-  if (gain <= least || gains_at_random(evidence, tried[best], gain)) return {};
-  return {tried[best], gain};
+  if (best.gain <= least || gains_at_random(evidence, best.course, best.gain)) return {};
+  return best;
 }
 
 void assure(const std::vector<double> &chances, const std::vector<double> &mapped, double together,
@@ -129,30 +146,38 @@ std::vector<std::vector<Size>> streams_of(const Course &course, const std::vecto
 }
 
 // Places all streams of a course.
-Followed follow_course(const Evidence &evidence, const Likeness &likeness, const Course &course, Size top) {
+Followed follow_course(const Evidence &evidence, const Likeness &likeness, Likeliest &likeliest, int threads, Size top) {
+  const Course &course = likeliest.course;
   const Filter filter(evidence.map(), Motion().at(course.rate), {course.way});
   Followed places(evidence.queries(), top);
   places.nearer.resize(places.chance.size());
-  for (const std::vector<Size> &stream : streams_of(course, in_order(evidence.queries()))) {
+  const std::vector<std::vector<Size>> streams = streams_of(course, in_order(evidence.queries()));
+  for (std::size_t number = 0; number < streams.size(); ++number) {
+    const std::vector<Size> &stream = streams[number];
     Places followed(static_cast<Size>(stream.size()), top);
-    follow_offline(filter, evidence, stream, followed);
+    const bool as_tried = course.rate == 1;  // else a query counts otherwise
+    follow_offline(filter, evidence, stream, threads, as_tried ? std::move(likeliest.past[number]) : std::vector<Seen>{},
+                   followed);
     std::vector<Size> rows(stream.size());
     for (std::size_t at = 0; at < rows.size(); ++at) rows[at] = followed.rows[at * top];
     const std::vector<bool> lingers = lingering(likeness, stream, rows, MODEL.around);
+    const auto count = static_cast<Size>(stream.size());
     std::deque<std::shared_ptr<const Sight>> sights;  // of the queries from `first` on
     std::vector<Size> near;                           // their rows
-    for (Size at = 0, first = 0, next = 0; at < static_cast<Size>(stream.size()); ++at) {
-      for (; next < std::min(static_cast<Size>(stream.size()), at + MODEL.around + 1); ++next)
-        sights.push_back(evidence.beside(stream[next]));
-      for (; first < at - MODEL.around; ++first) sights.pop_front();
+    for (Size start = 0, first = 0, next = 0; start < count; start += BLOCK) {
+      const Size end = std::min(count, start + BLOCK);
+      for (; next < std::min(count, end + MODEL.around); ++next) sights.push_back(evidence.beside(stream[next]));
+      for (; first < start - MODEL.around; ++first) sights.pop_front();
       near.assign(rows.begin() + first, rows.begin() + next);
-      const auto [around, nearer] = chances_around(filter, sights, near, at - first, MODEL.around);
-      const auto from = static_cast<std::ptrdiff_t>(at) * top, to = stream[at] * top;
-      std::copy_n(followed.scores.begin() + from, top, places.scores.begin() + to);
-      std::copy_n(followed.rows.begin() + from, top, places.rows.begin() + to);
-      places.near[stream[at]] = followed.near[at];
-      places.chance[stream[at]] = lingers[at] ? 1 : std::max(followed.chance[at], around);
-      places.nearer[stream[at]] = nearer;
+      over_blocks(end - start, 1, threads, [&](Size number, Size) {
+        const Size at = start + number, from = at * top, to = stream[at] * top;
+        const auto [around, nearer] = chances_around(filter, sights, near, at - first, MODEL.around);
+        std::copy_n(followed.scores.begin() + from, top, places.scores.begin() + to);
+        std::copy_n(followed.rows.begin() + from, top, places.rows.begin() + to);
+        places.near[stream[at]] = followed.near[at];
+        places.chance[stream[at]] = lingers[at] ? 1 : std::max(followed.chance[at], around);
+        places.nearer[stream[at]] = nearer;
+      });
     }
   }
   return places;
@@ -187,20 +212,26 @@ void take(const Followed &places, const Judged &judged, Decision &decision) {
   }
 }
 
-Judged judge(const Evidence &evidence, bool drive, Decision &decision) {
+Judged judge(const Evidence &evidence, bool drive, int threads, Decision &decision) {
   const Size queries = evidence.queries();
   Judged judged;
   judged.chances.assign(static_cast<std::size_t>(queries), std::numeric_limits<double>::quiet_NaN());
   std::vector<Size> rivals(judged.chances.size());
-  for (Size query = 0; query < queries; ++query) {
-    const std::shared_ptr<const Sight> alone = evidence.alone(query);
-    const Sight &sight = *alone;
-    if (drive) judged.likeness.add(evidence.profile(sight));
-    put(sight.scores, sight.rows, query, decision);
-    if (decision.rows[query * decision.top] < 0) continue;
-    const Chance chance = chance_of_scores(sight.scores.data(), sight.rows, sight.matching);
-    judged.chances[query] = chance.chance;
-    rivals[query] = chance.rival;
+  for (Size first = 0; first < queries; first += BLOCK) {
+    const Size end = std::min(queries, first + BLOCK);
+    std::vector<std::shared_ptr<const Sight>> sights;
+    for (Size query = first; query < end; ++query) sights.push_back(evidence.alone(query));
+    for (const std::shared_ptr<const Sight> &sight : sights)
+      if (drive) judged.likeness.add(evidence.profile(*sight));
+    over_blocks(end - first, 1, threads, [&](Size number, Size) {
+      const Sight &sight = *sights[static_cast<std::size_t>(number)];
+      const Size query = first + number;
+      put(sight.scores, sight.rows, query, decision);
+      if (decision.rows[query * decision.top] < 0) return;
+      const Chance chance = chance_of_scores(sight.scores.data(), sight.rows, sight.matching);
+      judged.chances[query] = chance.chance;
+      rivals[query] = chance.rival;
+    });
   }
   judged.rivals_together = rivals_together(judged.chances, rivals);
   judged.together = answers_together(judged.rivals_together);
@@ -238,18 +269,20 @@ Places::Places(Size queries, Size number)
       unmapped(near),
       chance(near.size(), 1) {}
 
-Decision decide(const Listing &listing, const Scores &scores, bool follow, Size top) {
+Decision decide(const Listing &listing, const Scores &scores, bool follow, int threads, Size top) {
   const bool fits = scores.queries() <= KEPT / std::max<Size>(1, listing.count());
   const Evidence evidence(listing, scores, follow && fits ? scores.queries() : 0);
   Decision decision(evidence.queries(), top);
-  Judged judged = judge(evidence, follow, decision);
-  if (follow) std::tie(decision.course, decision.gain) = course_of(evidence);
+  Judged judged = judge(evidence, follow, threads, decision);
+  Likeliest likeliest;
+  if (follow) likeliest = course_of(evidence);
+  decision.course = likeliest.course;
+  decision.gain = likeliest.gain;
   if (decision.gain > 0) doubt_lingering(decision, judged);
   assure(judged.chances, mapped(judged.chances, judged.together), judged.together, decision);
   if (decision.gain > 0) {
     decision.gain /= static_cast<double>(evidence.queries());
-    const Course course = decision.course;
-    take(follow_course(evidence, judged.likeness, course, top), judged, decision);
+    take(follow_course(evidence, judged.likeness, likeliest, threads, top), judged, decision);
   }
   decision.follows.assign(decision.right.size(), decision.followed);
   if (listing.map.rows < MODEL.min_frames) std::fill(decision.right.begin(), decision.right.end(), 0.0F);

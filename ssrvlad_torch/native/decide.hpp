@@ -2,7 +2,7 @@
 // best candidates of each query; how sure is the first.
 //
 //   places::Listing map({{0, 4000}, 9000});           // two drives, 9000 rows
-//   auto found = places::decide(map, scores, places::Mode::OFFLINE, 0, 5);  // places::Scores of these rows
+//   auto found = places::decide(map, scores, true, 2, 5);  // places::Scores of these rows; by two threads
 //   found.rows[query * found.top];                    // the first candidate, -1 for none
 //   found.right[query];                               // the probability that it is right
 
@@ -68,8 +68,8 @@ struct Decision : Matches {
 };
 
 // The scores are those of the listed rows. Each query is judged alone, or by all queries of its sequence if it is
-// `followed`. A top out of range is not looked for.
-Decision decide(const Listing &listing, const Scores &scores, bool follow, Size top);
+// to be followed. A top out of range is not looked for.
+Decision decide(const Listing &listing, const Scores &scores, bool follow, int threads, Size top);
 
 }  // namespace places
 

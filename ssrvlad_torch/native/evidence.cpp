@@ -74,7 +74,7 @@ Evidence::Evidence(const Listing &listing, const Scores &scores, Size kept)
 }
 
 Sight Evidence::sight_of(Size query) const {
-  Sight sight{listing_.rows, std::vector<float>(static_cast<std::size_t>(listing_.count())), -1, {}, {}};
+  Sight sight{listing_.rows, std::vector<float>(static_cast<std::size_t>(listing_.count())), -1, {}, {}, {}};
   scores_.of(query, sight.scores.data());
   const Size count = listing_.count();
   if (std::isnan(sum(sight.scores.data(), count)) || highest(sight.scores.data(), count) > HIGHEST_SCORE)
@@ -90,50 +90,51 @@ Evidence::Known &Evidence::known(Size query) const {
   Known &here = known_[static_cast<std::size_t>(query) % known_.size()];
   if (query == here.query) return here;
   here.query = -1;
-  here.near.clear();
+  here.likelihoods.clear();
   here.sight = std::make_shared<Sight>(sight_of(query));
   here.query = query;
   return here;
 }
 
-const Evidence::Known &Evidence::near(Size query) const {
+Evidence::Known &Evidence::near(Size query) const {
   Known &here = known(query);
-  if (here.near.empty()) {
-    here.near.resize(here.sight->scores.size());
-    nearness(here.sight->scores.data(), listing_.count(), here.near.data());
-    here.spread = listing_.spread(here.near.data());
+  Sight &sight = *here.sight;
+  if (sight.near.empty()) {
+    sight.near.resize(sight.scores.size());
+    nearness(sight.scores.data(), listing_.count(), sight.near.data());
+    sight.spread = listing_.spread(sight.near.data());
   }
   return here;
 }
 
 std::shared_ptr<const Sight> Evidence::beside(Size query) const {
-  const Known &here = near(query);
-  const auto sight = std::make_shared<Sight>(*here.sight);
-  sight->z.resize(sight->scores.size());
-  if (here.spread.deviation > MIN_SPREAD)  // equal scores say nothing
-    deviations(here.near.data(), listing_.count(), here.spread, sight->z.data());
+  const std::shared_ptr<Sight> sight = near(query).sight;
+  if (sight->z.empty()) {
+    sight->z.resize(sight->scores.size());
+    if (sight->spread.deviation > MIN_SPREAD)  // equal scores say nothing
+      deviations(sight->near.data(), listing_.count(), sight->spread, sight->z.data());
+  }
   return sight;
 }
 
-std::shared_ptr<const Sight> Evidence::followed(const Motion &motion, Size query) const {
-  if (query != followed_query_) followed_.clear();
-  followed_query_ = query;
-  for (const auto &[weight, level, sight] : followed_)
-    if (motion.weight == weight && motion.level == level) return sight;
-  const Known &here = near(query);
-  const auto sight = std::make_shared<Sight>(*here.sight);
-  std::vector<float> &rows = sight->likelihood.rows;
-  rows.assign(here.near.size(), 1.0F);
-  if (here.spread.deviation > MIN_SPREAD)
-    likelihoods(here.near.data(), listing_.count(), motion.weight, motion.level, here.spread, rows.data());
+std::shared_ptr<const Likelihood> Evidence::likelihood(const Motion &motion, Size query) const {
+  Known &here = near(query);
+  for (const auto &[weight, level, likelihood] : here.likelihoods)
+    if (motion.weight == weight && motion.level == level) return likelihood;
+  const Sight &sight = *here.sight;
+  const auto likelihood = std::make_shared<Likelihood>();
+  std::vector<float> &rows = likelihood->rows;
+  rows.assign(sight.near.size(), 1.0F);
+  if (sight.spread.deviation > MIN_SPREAD)
+    likelihoods(sight.near.data(), listing_.count(), motion.weight, motion.level, sight.spread, rows.data());
   // The rows that are not listed are like those of the sample, which stand for them.
   const Size others = listing_.map.rows - listing_.count();
   double elsewhere = 0;
   for (std::size_t place = 0; place < listing_.weights.size(); ++place)
     elsewhere += (listing_.weights[place] - 1) * static_cast<double>(rows[place]);
-  if (others > 0) sight->likelihood.elsewhere = elsewhere / static_cast<double>(others);
-  followed_.emplace_back(motion.weight, motion.level, sight);
-  return sight;
+  if (others > 0) likelihood->elsewhere = elsewhere / static_cast<double>(others);
+  here.likelihoods.emplace_back(motion.weight, motion.level, likelihood);
+  return likelihood;
 }
 
 std::vector<float> Evidence::profile(const Sight &sight) const {

@@ -25,8 +25,9 @@ struct Sight {
   const Rows &rows;
   std::vector<float> scores;
   Size matching;
-  Likelihood likelihood;  // if the query is followed
-  std::vector<float> z;   // beside others: by how many deviations each row is nearer than the mean of all
+  std::vector<float> near;  // if it is followed; and the spread of all rows
+  Spread spread;
+  std::vector<float> z;  // beside others: by how many deviations each row is nearer than the mean of all
 };
 
 // The queries of one sequence, and how they fit a map. Not to be shared by threads.
@@ -42,36 +43,34 @@ class Evidence {
   std::shared_ptr<const Sight> alone(Size query) const { return known(query).sight; }
   // A query with others; 0 deviations where there is no score.
   std::shared_ptr<const Sight> beside(Size query) const;
-  // A query that is followed.
-  std::shared_ptr<const Sight> followed(const Motion &motion, Size query) const;
+  // How likely a query is that is followed.
+  std::shared_ptr<const Likelihood> likelihood(const Motion &motion, Size query) const;
   // The scores of a query at rows that represent all, the same for each query.
   std::vector<float> profile(const Sight &sight) const;
 
  private:
-  // A query; the nearness of all rows, if it was asked for.
+  // A query; how likely it is by each weight and level that was asked for.
   struct Known {
     Size query = -1;
-    std::shared_ptr<const Sight> sight;
-    std::vector<float> near;
-    Spread spread;
+    std::shared_ptr<Sight> sight;
+    std::vector<std::tuple<double, double, std::shared_ptr<const Likelihood>>> likelihoods;
   };
 
   Sight sight_of(Size query) const;
   Known &known(Size query) const;
-  const Known &near(Size query) const;
+  Known &near(Size query) const;
 
   const Listing &listing_;
   const Scores &scores_;
   std::vector<Size> compared_;
   mutable std::vector<Known> known_;
-  mutable Size followed_query_ = -1;
-  mutable std::vector<std::tuple<double, double, std::shared_ptr<const Sight>>> followed_;  // by weight and level
 };
 
 // A query, and the belief after it.
 struct Seen {
   std::shared_ptr<const Sight> sight;
-  std::shared_ptr<const Belief> belief;
+  std::shared_ptr<const Likelihood> likelihood;
+  std::shared_ptr<Belief> belief;
 
   // Writes or reads the belief in some rows, if there is one.
   template <typename Archive>
@@ -89,17 +88,18 @@ struct Seen {
 struct Walk {
   const Filter &filter;
   Seen now;
+  std::vector<float> spare{};  // of a belief that nothing keeps
+  std::vector<Seen> past{};    // so far, if it is kept
 
   // Takes the next query: the logarithm of how much likelier it is so than alone.
   double step(const Evidence &evidence, Size query) {
-    const Belief *before = now.belief.get();
-    now.sight = evidence.followed(filter.motion(), query);
+    const std::shared_ptr<Belief> before = std::move(now.belief);
+    now = {evidence.alone(query), evidence.likelihood(filter.motion(), query), nullptr};
     const Rows &rows = now.sight->rows;
-    const auto belief =
-        std::make_shared<Belief>(before ? filter.predicted(*before, rows) : filter.start(rows));
-    const double gain = filter.update(*belief, now.sight->likelihood);
-    now.belief = belief;
-    return gain;
+    now.belief = std::make_shared<Belief>(before ? filter.predicted(*before, rows, std::move(spare))
+                                                 : filter.start(rows));
+    if (before.use_count() == 1) spare = std::move(before->mapped);
+    return filter.update(*now.belief, *now.likelihood);
   }
 };
 
@@ -124,10 +124,10 @@ std::vector<Course> courses();
 // Courses that are tried at once, so that each query is scored once.
 class Trial {
  public:
-  Trial(const Drives &drives, const std::vector<Course> &courses) : gains_(courses.size()) {
+  // Keeps the past of the courses if that takes at most so many numbers.
+  Trial(const Drives &drives, const std::vector<Course> &courses, Size most = 0) : left_(most), gains_(courses.size()) {
     for (const Course &course : courses) {
       Motion motion;
-      motion.unmapped = 0;
       motion.rate = course.rate;
       filters_.push_back(std::make_unique<Filter>(drives, motion, std::vector<int>{course.way}));
       walks_.emplace_back(course.streams, Walk{*filters_.back(), {}});
@@ -141,14 +141,22 @@ class Trial {
   }
   void step(const Evidence &evidence, Size query, std::size_t course) {
     std::vector<Walk> &streams = walks_[course];
-    const double gain = streams[static_cast<std::size_t>(counts_[course]++) % streams.size()].step(evidence, query);
+    Walk &walk = streams[static_cast<std::size_t>(counts_[course]++) % streams.size()];
+    const double gain = walk.step(evidence, query);
     gains_[course] += streams.size() > 1 ? MODEL.of_two * gain : gain;
+    if (left_ > 0) keep(walk);
   }
 
   // Of the queries by each course: the logarithm of how much likelier they are so than alone; what counts of it.
   const std::vector<double> &gains() const { return gains_; }
   // How many queries a course has taken.
   Size count(std::size_t course) const { return counts_[course]; }
+  // What was seen by each stream of a course; empty if that is not kept.
+  std::vector<std::vector<Seen>> past(std::size_t course) const {
+    std::vector<std::vector<Seen>> past;
+    for (const Walk &walk : walks_[course]) past.push_back(walk.past);
+    return past;
+  }
 
   template <typename Archive>
   void keep(Archive &archive, const Rows &rows) {
@@ -158,6 +166,15 @@ class Trial {
   }
 
  private:
+  void keep(Walk &walk) {
+    left_ -= static_cast<Size>(walk.now.belief->mapped.size());
+    walk.past.push_back(walk.now);
+    if (left_ > 0) return;
+    for (std::vector<Walk> &streams : walks_)
+      for (Walk &other : streams) other.past = {};
+  }
+
+  Size left_;  // of the numbers that may be kept
   std::vector<Size> counts_;
   std::vector<double> gains_;
   std::vector<std::unique_ptr<Filter>> filters_;

@@ -40,21 +40,24 @@ void visit_others(const Rows &rows, const Rows &listed, const Drives &drives, Fu
 }
 
 // Adds to a target the sums of following values, each times its weight.
-void slide(float *target, const float *values, Size count, const float *weights, Size width) {
+template <Size WIDTH>
+void slide_by(float *target, const float *values, Size count, const float *weights) {
   on_cpu([=](auto) {
-    Size i = 0;
-    for (; i + LANES <= count; i += LANES) {
-      float lanes[LANES] = {};
-      for (Size k = 0; k < width; ++k)
-        for (Size lane = 0; lane < LANES; ++lane) lanes[lane] += weights[k] * values[i + k + lane];
-      for (Size lane = 0; lane < LANES; ++lane) target[i + lane] += lanes[lane];
-    }
-    for (; i < count; ++i) {
-      float lane = 0;
-      for (Size k = 0; k < width; ++k) lane += weights[k] * values[i + k];
-      target[i] += lane;
+    for (Size i = 0; i < count; ++i) {
+      float total = 0;
+      for (Size k = 0; k < WIDTH; ++k) total += weights[k] * values[i + k];
+      target[i] += total;
     }
   });
+}
+
+// The same of any number of weights: a loop of a number that the compiler knows is ten times as fast.
+void slide(float *target, const float *values, Size count, const float *weights, Size width) {
+  constexpr decltype(&slide_by<1>) BY[] = {slide_by<1>, slide_by<2>, slide_by<3>, slide_by<4>,
+                                           slide_by<5>, slide_by<6>, slide_by<7>};
+  constexpr Size MOST = std::size(BY);
+  for (; width > 0; width -= MOST, values += MOST, weights += MOST)
+    BY[std::min(width, MOST) - 1](target, values, count, weights);
 }
 
 // Of values and what they have in common, each times a factor.
@@ -365,7 +368,7 @@ void Filter::transition_back(const Run &piece, std::size_t way, const Future &fu
 }
 
 Future Filter::before(const Belief &belief, const Rows &later, const Likelihood &likelihood,
-                      const Future &future) const {
+                      const Future &future, std::vector<float> memory) const {
   const Size here = belief.rows.count, there = later.count;
   const auto ways = static_cast<Size>(ways_.size());
   const float *emission = likelihood.rows.data();
@@ -377,7 +380,8 @@ Future Filter::before(const Belief &belief, const Rows &later, const Likelihood 
   any_row += static_cast<double>((drives_.rows - there) * ways) * elsewhere;
   any_row /= static_cast<double>(places());
   const double lost = (1 - motion_.unmapped) * any_row + motion_.unmapped * future.unmapped;
-  Future earlier{std::vector<float>(static_cast<std::size_t>(ways * SPEEDS * here)), 0, 0};
+  memory.assign(static_cast<std::size_t>(ways * SPEEDS * here), 0);
+  Future earlier{std::move(memory), 0, 0};
   earlier.unmapped = motion_.stay * future.unmapped + (1 - motion_.stay) * any_row;
   in_pieces(belief.rows, [&](const Run &piece) {
     for (std::size_t way = 0; way < ways_.size(); ++way)

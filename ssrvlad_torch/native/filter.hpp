@@ -167,7 +167,7 @@ class Filter {
   // The future from a belief, by the later rows, the likelihood of the later frame and its future; `none`
   // if the belief cannot lead there.
   Future before(const Belief &belief, const Rows &later, const Likelihood &likelihood,
-                const Future &future) const;
+                const Future &future, std::vector<float> memory = {}) const;
   // Probabilities of the listed rows in the first way, and of a place that the map lacks, by a belief
   // and its future.
   std::pair<std::vector<float>, double> smoothed(const Belief &belief, const Future &future) const;

@@ -252,7 +252,7 @@ int ssrvlad_map_query(const ssrvlad_map *map, const ssrvlad_queries *queries, in
     if (steps->follow == SSRVLAD_ONLINE)
       return track(*map, {queries, queries + map->channels()}, count, *steps, threads, *decision, *taken);
     const auto scores = map->compare(queries, count, *steps, threads, *taken);
-    give(decide(map->listing(), *scores, steps->follow == SSRVLAD_OFFLINE, steps->top), 0, *decision);
+    give(decide(map->listing(), *scores, steps->follow == SSRVLAD_OFFLINE, threads, steps->top), 0, *decision);
   });
 }
 

@@ -122,7 +122,8 @@ void Tracker::follow(Size query) {
   walk.step(evidence_, query);
   Places places(1, 1);
   place(course_->filter, *walk.now.sight, {walk.now.belief->of_rows(), walk.now.belief->unmapped}, 0, places);
-  stream.push_back({query, places.rows.front(), walk.now, evidence_.beside(query)});
+  evidence_.beside(query);
+  stream.push_back({query, places.rows.front(), walk.now});
   while (stream.front().query + (delay_ + MODEL.around) * course_->course.streams < query) stream.pop_front();
 }
 
@@ -133,7 +134,7 @@ Places Tracker::place_of(Size query) {
   const auto here = std::find_if(stream.begin(), stream.end(), [&](const Place &place) { return place.query == query; });
   Future future = filter.none(*stream.back().seen.belief);
   for (auto later = std::prev(stream.end()); later != here; --later)
-    future = filter.before(*std::prev(later)->seen.belief, later->seen.sight->rows, later->seen.sight->likelihood, future);
+    future = filter.before(*std::prev(later)->seen.belief, later->seen.sight->rows, *later->seen.likelihood, future);
   Places places(1, top_);
   place(filter, *here->seen.sight, filter.smoothed(*here->seen.belief, future), 0, places);
   here->row = places.rows.front();
@@ -160,7 +161,7 @@ Tracker::Chances Tracker::chances_of(Size query, Places &places) {
   std::deque<std::shared_ptr<const Sight>> sights;
   queries.clear(), rows.clear();
   for (const Place &place : course_->stream(query)) {
-    sights.push_back(place.sight);
+    sights.push_back(place.seen.sight);
     queries.push_back(place.query);
     rows.push_back(place.row);
   }
@@ -287,8 +288,8 @@ void Tracker::keep(Archive &archive) {
               place.row < listing_.map.rows);
       place.seen.keep(archive, listing_.rows);
       if (!archive.reads()) continue;
-      place.seen.sight = evidence_.followed(course_->filter.motion(), place.query);
-      place.sight = evidence_.beside(place.query);
+      place.seen.sight = evidence_.beside(place.query);
+      place.seen.likelihood = evidence_.likelihood(course_->filter.motion(), place.query);
       stream.push_back(std::move(place));
     }
   }

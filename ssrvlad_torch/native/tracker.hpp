@@ -68,7 +68,6 @@ class Tracker {
   struct Place {
     Size query, row;
     Seen seen;
-    std::shared_ptr<const Sight> sight;  // beside others
   };
 
   // The sequence as it runs the map by a course.
