@@ -126,7 +126,7 @@ def test_the_gain_of_a_course_is_that_of_the_oracle(sequence):
     decision = decide(scores, frames)
     if not decision.gain:
         return
-    motion = Motion(unmapped=0.0, rate=decision.rate)
+    motion = Motion(rate=decision.rate)
     gain = sum(
         oracle.gain(scores[stream], names_of(frames), motion, decision.way)
         for stream in streams_of(decision, scores)

@@ -80,7 +80,7 @@ void Fusion::of(const std::vector<double> &weights, float *scores) const {
 Fused::Fused(std::vector<std::unique_ptr<Scores>> members, const std::vector<double> &trust, const Listing &listing)
     : Comparison(members.front()->queries(), listing.count()), members_(std::move(members)), listing_(listing) {
   std::vector<double> leads(trust.size());
-  const Size step = std::max<Size>(1, queries() / MODEL.sample), sampled = (queries() + step - 1) / step;
+  const Size step = std::max<Size>(1, queries() / MODEL.compared), sampled = (queries() + step - 1) / step;
   for (Size query = 0; queries() >= MODEL.min_frames && query < queries(); query += step) {
     const std::vector<double> more = of_query(query).leads();
     for (std::size_t member = 0; member < leads.size(); ++member) leads[member] += more[member];

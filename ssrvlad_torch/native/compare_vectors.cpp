@@ -148,7 +148,7 @@ class Leads {
     double most = -std::numeric_limits<double>::infinity();
     for (std::size_t width = 0; width < sums_.size(); ++width) {
       const double mean = sums_[width] / std::max(1.0, counts_[width]);
-      if (mean > most + MODEL.wider) most = mean, best = width;
+      if (mean > most + MODEL.rounding) most = mean, best = width;
     }
     return best;
   }
@@ -180,7 +180,7 @@ Size narrowed(const Floats &queries, Size count, Size anchors, const VectorRows 
     of_means = rows.products(means.data(), widths, threads);
   }
   Leads leads(widths, listing);
-  const Size step = std::max<Size>(1, count / MODEL.sample), at_once = step * std::max<Size>(1, AT_ONCE / anchors);
+  const Size step = std::max<Size>(1, count / MODEL.compared), at_once = step * std::max<Size>(1, AT_ONCE / anchors);
   for (Size first_query = 0; first_query < count; first_query += at_once) {
     Floats vectors;
     std::vector<Factors> factors;  // by query, width and anchor

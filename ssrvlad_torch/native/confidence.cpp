@@ -136,7 +136,7 @@ Chance compared(const Number *numbers, const Rows &rows, Size matching, Unit uni
     const double height = unit(best[step].value) - unit(best[step + 1].value);
     (step ? below : ahead) += height / means[step];
   }
-  const double ratio = 1 + ahead / std::max(below, MODEL.least_spacing);
+  const double ratio = 1 + ahead / std::max(below, MODEL.rounding);
   result.chance = 1;
   for (Size step = 1; step < count; ++step) result.chance /= ratio;
   return result;
@@ -199,22 +199,24 @@ struct Point {
 
   Point(double fraction, double slope, double more, double weight)
       : wrong(fraction), rate(slope), shape(more), log_weight(log_of(weight)) {
-    factor = (1 + more) * log_of(slope);  // gamma functions of shapes 1 and 2 are 1
+    factor = (1 + more) * log_of(slope);  // gamma functions of both shapes are 1
   }
 };
 
+constexpr int SHAPES = 2;  // 1 and 2
+
 std::vector<Point> points_of_prior() {
-  const auto away = [](int step) { return -MODEL.most_away + 2 * MODEL.most_away * step / (MODEL.rates - 1); };
+  const auto away = [](int step) { return -MODEL.most_away + 2 * MODEL.most_away * step / (MODEL.points - 1); };
   std::vector<Point> points;
   double weights = 0;
-  for (int step = 0; step < MODEL.rates; ++step) weights += exp_of(-away(step) * away(step) / 2);
-  for (int fraction = 0; fraction < MODEL.fractions; ++fraction)
-    for (int step = 0; step < MODEL.rates; ++step)
-      for (int more = 0; more < MODEL.shapes; ++more) {
+  for (int step = 0; step < MODEL.points; ++step) weights += exp_of(-away(step) * away(step) / 2);
+  for (int fraction = 0; fraction < MODEL.points; ++fraction)
+    for (int step = 0; step < MODEL.points; ++step)
+      for (int more = 0; more < SHAPES; ++more) {
         const double rate = 1 / (1 + exp_of(log_of(1 / MODEL.slope - 1) - MODEL.deviation * away(step)));
         const double weight =
-            exp_of(-away(step) * away(step) / 2) / (weights * MODEL.fractions * MODEL.shapes);
-        points.emplace_back((fraction + 0.5) / MODEL.fractions, rate, more, weight);
+            exp_of(-away(step) * away(step) / 2) / (weights * MODEL.points * SHAPES);
+        points.emplace_back((fraction + 0.5) / MODEL.points, rate, more, weight);
       }
   return points;
 }
@@ -240,8 +242,8 @@ struct Answers {
   explicit Answers(const std::vector<double> &chances) : queries(answered(chances)) {
     for (const std::size_t query : queries) {
       const double chance = chances[query];
-      const double far = chance > 0 ? -log_of(std::max(chance, 1e-300)) : MODEL.most_ahead;
-      ahead.push_back(std::min(std::max(far, LEAST_AHEAD), MODEL.most_ahead));
+      const double far = chance > 0 ? -log_of(std::max(chance, 1e-300)) : MODEL.most_log;
+      ahead.push_back(std::min(std::max(far, LEAST_AHEAD), MODEL.most_log));
       logs.push_back(log_of(ahead.back()));
     }
   }
@@ -286,7 +288,7 @@ class Stretches {
   // The forward algorithm: the logarithm of how likely queries are, each so many times `likelier` where
   // the map has its place as where it lacks it.
   double learn(const double *likelier, Size count) {
-    double before = 1 - MODEL.foreign;
+    double before = 1 - MODEL.unmapped;
     for (Size query = 0; query < count; ++query) {
       likely_[query] = before * likelier[query] + (1 - before);
       mapped_[query] = before * likelier[query] / likely_[query];
@@ -308,7 +310,7 @@ class Stretches {
   }
 
  private:
-  static constexpr double STAY = 1 - 1 / MODEL.stretch;
+  static constexpr double STAY = 1 - 1.0 / MODEL.stretch;
 
   std::vector<double> mapped_, likely_, once_;
 };
@@ -355,9 +357,9 @@ std::vector<double> mapped(const std::vector<double> &chances, double together) 
 
 std::vector<double> mapped_along(const std::vector<double> &nearer, const std::vector<double> &together) {
   const std::vector<std::size_t> queries = answered(nearer);
-  const std::vector<double> log_weights(static_cast<std::size_t>(MODEL.levels));
+  const std::vector<double> log_weights(static_cast<std::size_t>(MODEL.points));
   return mapped_at(log_weights, queries, nearer.size(), [&](std::size_t number, double *likelier) {
-    const double level = MODEL.chance_nearer + MODEL.most_nearer * static_cast<double>(number) / (MODEL.levels - 1);
+    const double level = MODEL.chance_nearer + MODEL.most_nearer * static_cast<double>(number) / (MODEL.points - 1);
     for (std::size_t answer = 0; answer < queries.size(); ++answer) {
       const double away = nearer[queries[answer]] - level, by_chance = nearer[queries[answer]] - MODEL.chance_nearer;
       const double log = std::min((by_chance * by_chance - away * away) / 2, MODEL.most_log);

@@ -75,27 +75,22 @@ struct Likeliest {
   std::vector<std::vector<Seen>> past;
 };
 
-// A course that trails by `trailing` rests, and goes on at the end if the likeliest one did not gain as it had
-// until then.
+// A course that trails by `trailing` rests, and goes on at the end if the likeliest one has gained nothing since.
 Likeliest likeliest_of(const Evidence &evidence) {
   const std::vector<Course> tried = courses();
   Trial trial(evidence.map(), tried, KEPT);
   std::vector<std::size_t> running(tried.size());
   std::iota(running.begin(), running.end(), 0);
-  Size rested = 0;  // the query at which the last one came to rest, and the gain there
-  double gain = 0;
+  double gain = -std::numeric_limits<double>::infinity();  // of the likeliest, when the last one came to rest
   for (Size query = 0; query < evidence.queries(); ++query) {
     for (const std::size_t course : running) trial.step(evidence, query, course);
     const double best = trial.gains()[likeliest(trial.gains())];
     const auto trails = [&](std::size_t course) { return trial.gains()[course] < best - MODEL.trailing; };
     const auto end = std::remove_if(running.begin(), running.end(), trails);
-    if (end == running.end()) continue;
+    if (end != running.end()) gain = best;
     running.erase(end, running.end());
-    rested = query + 1, gain = best;
   }
-  const std::size_t ahead = likeliest(trial.gains());
-  const auto others = static_cast<double>(evidence.queries() - rested);
-  if (rested && (trial.gains()[ahead] - gain) * static_cast<double>(rested) < MODEL.as_before * gain * others)
+  if (trial.gains()[likeliest(trial.gains())] <= gain)
     for (std::size_t course = 0; course < tried.size(); ++course)
       while (trial.count(course) < evidence.queries()) trial.step(evidence, trial.count(course), course);
   const std::size_t best = likeliest(trial.gains());
@@ -117,8 +112,7 @@ bool gains_at_random(const Evidence &evidence, const Course &course, double gain
 Likeliest course_of(const Evidence &evidence) {
   if (evidence.queries() < 2) return {};
   Likeliest best = likeliest_of(evidence);
-  const double least = std::max(MODEL.least_gain, MODEL.least_rate * static_cast<double>(evidence.queries()));
-  if (best.gain <= least || gains_at_random(evidence, best.course, best.gain)) return {};
+  if (best.gain <= least_gain(evidence.queries()) || gains_at_random(evidence, best.course, best.gain)) return {};
   return best;
 }
 

@@ -15,6 +15,8 @@ std::vector<Size> in_order(Size count) {
 }
 
 namespace {
+constexpr Size BLOCK = 256;  // rows of which none is among the best if their highest is not
+
 // Courses that are tried, both ways.
 constexpr Course COURSES[] = {
     {FORWARDS, 1, 1}, {FORWARDS, 3, 1}, {FORWARDS, 0.25, 1}, {FORWARDS, 1, MODEL.streams}};
@@ -25,15 +27,22 @@ std::vector<Size> best_of(const std::vector<float> &values, Size top) {
   const auto higher = [&](Size some, Size other) {
     return values[some] > values[other] || (values[some] == values[other] && some < other);
   };
-  for (Size place = 0; place < static_cast<Size>(values.size()); ++place) {
+  const auto take = [&](Size place) {
     if (static_cast<Size>(best.size()) == top) {
-      if (!(values[place] > values[best.front()])) continue;
+      if (!(values[place] > values[best.front()])) return;
       std::pop_heap(best.begin(), best.end(), higher);
       best.pop_back();
     }
-    if (!(values[place] > NONE)) continue;
+    if (!(values[place] > NONE)) return;
     best.push_back(place);
     std::push_heap(best.begin(), best.end(), higher);
+  };
+  const auto count = static_cast<Size>(values.size());
+  for (Size first = 0; first < count; first += BLOCK) {
+    const Size last = std::min(count, first + BLOCK);
+    const bool full = static_cast<Size>(best.size()) == top;
+    if (full && !(highest(values.data() + first, last - first) > values[best.front()])) continue;
+    for (Size place = first; place < last; ++place) take(place);
   }
   std::sort_heap(best.begin(), best.end(), higher);
   return best;
@@ -211,12 +220,10 @@ std::vector<Course> courses() {
   return courses;
 }
 
+double least_gain(Size queries) { return MODEL.least_rate * static_cast<double>(std::max(queries, MODEL.around)); }
+
 std::size_t likeliest(const std::vector<double> &gains) {
-  const auto likely = [&](std::size_t course) { return gains[course] - (course ? MODEL.unusual : 0); };
-  std::size_t best = 0;
-  for (std::size_t course = 1; course < gains.size(); ++course)
-    if (likely(course) > likely(best)) best = course;
-  return best;
+  return static_cast<std::size_t>(std::max_element(gains.begin(), gains.end()) - gains.begin());
 }
 
 }  // namespace places

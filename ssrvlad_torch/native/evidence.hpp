@@ -181,6 +181,9 @@ class Trial {
   std::vector<std::vector<Walk>> walks_;
 };
 
+// The gain of so many queries by a course that is taken.
+double least_gain(Size queries);
+
 // The number of the likeliest of the courses.
 std::size_t likeliest(const std::vector<double> &gains);
 

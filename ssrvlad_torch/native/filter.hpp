@@ -24,7 +24,7 @@ constexpr double MOST_RATE = 100;
 
 // How a drive moves, and how much one frame counts; recognition/recognise.py explains the settings.
 struct Motion {
-  double change = MODEL.change, jump = MODEL.jump, unmapped = MODEL.unmapped, stay = MODEL.stay,
+  double change = MODEL.change, jump = MODEL.jump, unmapped = MODEL.unmapped, stay = 1 - 1.0 / MODEL.stretch,
          weight = MODEL.weight, level = MODEL.level, rate = 1;
 
   Motion at(double rate) const;

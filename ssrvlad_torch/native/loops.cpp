@@ -18,7 +18,7 @@ namespace places {
 namespace {
 constexpr std::uint8_t NEAREST = 2;  // chosen so: these rows do not show what is usual
 
-constexpr Motion MOTION = {LOOPS.change, LOOPS.jump, LOOPS.unmapped, MODEL.stay, LOOPS.weight, MODEL.level, 1};
+constexpr Motion MOTION = {LOOPS.change, MODEL.jump, LOOPS.unmapped, LOOPS.stay, LOOPS.weight, MODEL.level, 1};
 
 // The quantile between two values, as NumPy's.
 double quantile(std::vector<double> values, double part) {
@@ -69,7 +69,7 @@ double likeness(const std::vector<double> &cosines, Size count) {
   for (Size row = 0; row + 1 < count; ++row)
     for (Size other = 0; other <= row - LOOPS.beside; ++other) others.push_back(near(row, other));
   for (Size row = 1; row + 1 < count; ++row) steps.push_back(near(row, row - 1));
-  for (Size back = 1; back <= LOOPS.last; ++back) step = std::max(step, near(count - 1, count - 1 - back));
+  for (Size back = 1; back <= MODEL.near; ++back) step = std::max(step, near(count - 1, count - 1 - back));
   for (const double value : others) sum += value;
   const double mean = sum / static_cast<double>(others.size()), elsewhere = median(others);
   for (const double value : others) squares += (value - mean) * (value - mean);
@@ -81,7 +81,7 @@ bool is_gap(const std::deque<double> &stamps, double stamp) {
   std::vector<double> stamped, steps;
   std::copy_if(stamps.begin(), stamps.end(), std::back_inserter(stamped),
                [](double stamp_before) { return !std::isnan(stamp_before); });
-  if (static_cast<Size>(stamped.size()) < LOOPS.least_frames || !(stamp - stamped.back() > LOOPS.gap)) return false;
+  if (static_cast<Size>(stamped.size()) < MODEL.min_frames || !(stamp - stamped.back() > LOOPS.gap)) return false;
   for (std::size_t row = 1; row < stamped.size(); ++row) steps.push_back(stamped[row] - stamped[row - 1]);
   return stamp - stamped.back() > LOOPS.gap_steps * median(steps);
 }
@@ -158,7 +158,7 @@ class Tracks {
     before_.swap(closeness_);
     closeness_.assign(count, 0);
     if (count < 2 * LOOPS.beside || near[count - 1] == NONE) return;
-    const std::vector<float> seen(near + std::max<Size>(0, count - LOOPS.last_frames), near + count - LOOPS.beside);
+    const std::vector<float> seen(near + std::max<Size>(0, count - LOOPS.usual), near + count - LOOPS.beside);
     push(steps_, near[count - 1], LOOPS.usual);
     push(others_, static_cast<float>(median(seen)), LOOPS.usual);
     const Spread spread = plain_spread(near, old);
@@ -212,7 +212,7 @@ class Tracks {
   float step() const {
     const double usual = median(std::vector<float>(steps_.begin(), steps_.end())) -
                          median(std::vector<float>(others_.begin(), others_.end()));
-    return std::max(LOOPS.least_closeness, static_cast<float>(usual));
+    return static_cast<float>(std::max(MODEL.rounding, usual));
   }
 
   Size exclude_;
@@ -336,7 +336,7 @@ class Stream {
 
   // States of the filter, one for each frame but the most recent.
   void grow() {
-    const Size last = without_last(std::min(LOOPS.recent, exclude_));
+    const Size last = without_last(std::min(LOOPS.beside, exclude_));
     for (; drives_.rows < last; ++drives_.rows)
       if (std::binary_search(starts_.begin(), starts_.end(), drives_.rows)) drives_.starts.push_back(drives_.rows);
   }
@@ -351,7 +351,7 @@ class Stream {
     shown_.push_back(shown);
     described_.push_back(!channels_[0]->empty(centres[0]));
     known_ += described_.back();
-    push(stamps_, stamp, LOOPS.last_frames);
+    push(stamps_, stamp, LOOPS.usual);
   }
 
   ssrvlad_loop step(const void *const *swept, const void *const *centres, const Size *anchors, int threads) {
@@ -454,7 +454,7 @@ class Stream {
     const auto mark = [&](Size first, Size last) {
       for (Size row = std::max<Size>(0, first); row < std::min(last, rows()); ++row) chosen[row] |= 1;
     };
-    mark(std::min(old, rows() - LOOPS.last_frames), rows());
+    mark(std::min(old, rows() - LOOPS.usual), rows());
     for (std::size_t row = 0; row < probable_.size(); ++row)
       if (static_cast<double>(probable_[row]) * static_cast<double>(drives_.rows) > 1)
         mark(static_cast<Size>(row) - SSRVLAD_RADIUS, static_cast<Size>(row) + SSRVLAD_RADIUS + 1);

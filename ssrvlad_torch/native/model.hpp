@@ -18,57 +18,45 @@ namespace places {
 
 struct PlaceModel {
   // Places
-  std::int64_t near = 3;              // rows at most to one that shows the same place; defined, as the tolerance of results
+  std::int64_t near = 3;              // rows to one that shows the same place, at most; defined, as the tolerance of results
   std::int64_t elsewhere = 5;         // rows from which on one shows another place; by hand
-  std::int64_t min_frames = 30;       // of a sequence that has a mean of its own, and of a map that gives confidence; by hand
+  std::int64_t min_frames = 30;       // of a sequence with a mean of its own, and of a map that gives confidence; by hand
   std::int64_t before = 10;           // frames like those before, which the mean of the first frames takes in; by hand
-  std::int64_t sample = 200;          // queries that show which channel leads; by hand, for speed
-  double wider = 1e-4;       // by which a wider sweep leads: more than rounding does; defined
+  double rounding = 1e-4;    // more than which a wider sweep must lead, and values of rivals differ; defined
 
   // Motion, a frame
   double change = 0.05;      // probability of another speed; motion
   double jump = 0.01;        // probability of any other row; by hand
-  double unmapped = 0.1;     // probability that the map lacks the first place, or one after a jump; by hand
-  double stay = 0.97;        // probability that it lacks the next, too; by hand
+  double unmapped = 0.1;     // prior probability that the map lacks the first place, or one after a jump; by hand
+  std::int64_t stretch = 200;         // mean number of frames whose places the map has, or lacks; drives
   double weight = 0.3;       // of the deviations by which a row is nearer, as the logarithm of a chance; motion
   double level = 0.5;        // deviations of a place that the map lacks; motion
   double most_log = 50;      // logarithm of a chance, at most: frames may equal their rows; defined
 
   // Courses
-  double least_gain = 1;     // logarithm of how much likelier a sequence is by its course than frame by frame; drives
-  double unusual = 3;        // how much more another than forwards must gain; by hand: one sequence in twenty takes it
   double of_two = 0.75;      // what counts of the gain of two streams; by hand
   double by_rows = 0.5;      // of the gain that may be left in a random order; by hand, after a table was seen
   double trailing = 10;      // gain by which a course trails and rests; by hand, for speed
-  double as_before = 0.5;    // of the gain with which the likeliest must go on, else rested courses do; by hand
-  double least_rate = 0.1;   // the same a query, of a course that is taken: random frames gain 0 to 0.1; four pairs
+  double least_rate = 0.1;   // gain a query of a course that is taken, of `around` at least: random frames gain less; pairs
   double behind = 1;         // how much less ahead than alone, as the logarithm of a chance, answers may be; so too
-  std::int64_t memory = 200;          // answers by which an answer online is judged; by hand
-  std::int64_t replayed = 60;         // frames with which a new course online begins; by hand
 
   // Frames around
-  std::int64_t around = 10;           // frames on each side that must show a place, and that tell whether answers linger; drives
+  std::int64_t around = 10;           // frames on each side that must show a place, and tell whether answers linger; drives
   std::int64_t streams = 2;           // of a course, at most; defined
-  std::int64_t compared = 512;        // rows by whose scores frames are compared; by hand, for speed
-  double lingering_pace = 0.5;   // of the usual rows, below which an answer lingers; holes and turns of cities 0 to 5
-  double lingering_share = 0.5;  // of neighbours to which it does; so too
+  std::int64_t compared = 512;        // rows by which frames are compared, queries that show which channel leads; by hand
+  double lingering = 0.5;    // of the usual rows, and of neighbours: less far to more of these lingers; cities 0 to 5
 
   // Rivals
   std::int64_t most_places = 10;      // best places that are compared; by hand
   double rows_a_place = 8.5;  // of a map; counted
-  double least_spacing = 1e-4;  // of the values of rivals; defined
 
   // Confidence
-  double foreign = 0.1;      // prior probability that the map lacks the place of the first frame; by hand
-  double stretch = 200;      // mean number of frames whose places the map has, or lacks; drives
   double slope = 0.25, deviation = 0.6;  // of right answers the median rate, and the deviation of its logit; drives
   double few = 2;            // power of the density of the fraction of wrong answers, if followed; drives
   double chance_nearer = 1.9;   // deviations by which the place of a followed answer is nearer by chance; counted
   double least_together = 2;    // neighbouring queries that count as one, at least; drives
-  double most_nearer = 6;       // more, at which right ones are; a grid of so many levels fine enough; defined
-  std::int64_t levels = 13;
-  double most_ahead = 20;    // minus the logarithm of a chance, at most; by hand
-  std::int64_t fractions = 15, rates = 11, shapes = 2;  // points of the prior: a grid fine enough; defined
+  double most_nearer = 6;       // more, at which right ones are, at most; defined
+  std::int64_t points = 15;         // of a grid of the prior, which is fine enough; defined
   double most_away = 2.5;    // deviations of the rates of the grid; defined
 };
 
@@ -76,13 +64,12 @@ inline constexpr PlaceModel MODEL;
 
 struct LoopModel {
   // Motion, a frame; else as of places
-  double change = 0.01, jump = 0.01, unmapped = 0.3, weight = 0.25;  // pairs
+  double change = 0.01, unmapped = 0.3, stay = 0.97, weight = 0.25;  // pairs
 
   // Frames
-  std::int64_t recent = 10;         // least age of an excluded frame that can be the present place; by hand
   std::int64_t stride = 50;         // the frame before is the one so many parts of the excluded ones ago; by hand
-  std::int64_t beside = 10;         // frames that are so far apart show different places; by hand
-  std::int64_t last_frames = 50;    // that show what is usual just now; by hand
+  std::int64_t beside = 10;         // frames so far apart show different places, of which one can be returned to; by hand
+  std::int64_t usual = 100;         // last frames that show what is usual just now; by hand
   std::int64_t memory = 1000;       // frames that show what is usual in a stretch; by hand
   double least_place = 0.01;        // probability of a place that is reported; by hand
 
@@ -104,14 +91,10 @@ struct LoopModel {
   float by_chance = 1.5F;           // times as close as these a return is; pairs
   float clear = 0.12F;              // closeness from which tracks by chance are too close to tell returns; pairs
   float same = 0.75F;               // closeness of one light, 1 being a frame and the next; pairs
-  float least_closeness = 0.02F;    // of a frame and the next; defined, against division
-  std::int64_t usual = 100;         // frames that show how close a frame and the next are; by hand
   std::int64_t wait = 25;           // frames without a loop before and after a track by chance; pairs
 
   // Gaps, at which a stretch ends
   double gap = 600, gap_steps = 10;  // seconds, and times the usual step, that a gap is longer than; by hand
-  std::int64_t least_frames = 20;   // with stamps, before a gap can be told; by hand
-  std::int64_t last = 3;            // frames before a gap of which one may be like the next; by hand
   double like = 0.5, spreads = 3;   // of a usual step, and deviations of different places: one light; pairs
 
   // Large memories

@@ -78,13 +78,14 @@ std::vector<bool> lingering(const Likeness &likeness, const std::vector<Size> &q
   std::vector<Size> still(queries.size()), neighbours(queries.size());
   for (const auto &[query, before, far, moved] : pairs) {
     const double usually = pace * far;
-    const bool stands = far >= 1 && usually >= 1 && moved <= MODEL.elsewhere && moved < MODEL.lingering_pace * usually;
+    const bool stands = far >= 1 && usually >= 1 && moved <= MODEL.elsewhere && moved < MODEL.lingering * usually;
     ++neighbours[query], still[query] += stands;
     if (query - before <= later) ++neighbours[before], still[before] += stands;
   }
   std::vector<bool> lingers(queries.size());
   for (std::size_t query = 0; query < lingers.size(); ++query)
-    lingers[query] = 2 * neighbours[query] >= MODEL.around && static_cast<double>(still[query]) > MODEL.lingering_share * static_cast<double>(neighbours[query]);
+    lingers[query] = 2 * neighbours[query] >= MODEL.around &&
+                     static_cast<double>(still[query]) > MODEL.lingering * static_cast<double>(neighbours[query]);
   return lingers;
 }
 

@@ -77,12 +77,12 @@ void Tracker::update(const ssrvlad_queries *queries, const Size *excluded, int t
   require(is_whole_, "a tracker that memory was enough for");
   is_whole_ = false;
   if (channels_.empty()) open(anchors, threads);
-  recent_.push(scores_of(queries, excluded, threads), MODEL.replayed + around);
+  recent_.push(scores_of(queries, excluded, threads), MODEL.min_frames + around);
   const Size query = count_++;
   const std::shared_ptr<const Sight> alone = evidence_.alone(query);
   const Sight &sight = *alone;
   likeness_.add(evidence_.profile(sight));
-  likeness_.forget(MODEL.memory + around);
+  likeness_.forget(MODEL.stretch + around);
   Answer answer(top_);
   answer.query = query;
   answer.width = width_;
@@ -90,7 +90,7 @@ void Tracker::update(const ssrvlad_queries *queries, const Size *excluded, int t
   put(sight.scores, sight.rows, 0, answer);
   const bool empty = answer.rows.front() < 0;
   chance_.push_back(empty ? Chance{NO_ANSWER, -1} : chance_of_scores(sight.scores.data(), sight.rows, sight.matching));
-  push(row_alone_, answer.rows.front(), MODEL.memory + delay_);
+  push(row_alone_, answer.rows.front(), MODEL.stretch + delay_);
   alone_.push_back(std::move(answer));
   trial_.step(evidence_, query);
   choose_course();
@@ -103,7 +103,7 @@ void Tracker::choose_course() {
   const std::size_t best = likeliest(trial_.gains());
   const double gain = trial_.gains()[best];
   gain_ = gain / static_cast<double>(count_);
-  if (gain <= MODEL.least_gain || gain_ < MODEL.least_rate) {
+  if (gain <= least_gain(count_)) {
     course_ = nullptr;
   } else if (!course_ || !same(course_->course, courses_[best])) {
     set_course(courses_[best]);
@@ -180,7 +180,7 @@ Answer Tracker::answer() {
   if (answer.rows.front() < 0) chances.alone = chances.around = chances.nearer = NO_ANSWER;
   alone_.pop_front();
   chance_.pop_front();
-  push(history_, chances, MODEL.memory);
+  push(history_, chances, MODEL.stretch);
   judge(chances, places, answer);
   if (listing_.map.rows < MODEL.min_frames) answer.right = {0};
   return answer;

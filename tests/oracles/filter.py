@@ -36,7 +36,7 @@ class Motion(NamedTuple):
     change: float = NUMBERS["change"]
     jump: float = NUMBERS["jump"]
     unmapped: float = NUMBERS["unmapped"]
-    stay: float = NUMBERS["stay"]
+    stay: float = 1 - 1 / NUMBERS["stretch"]
     weight: float = NUMBERS["weight"]
     level: float = NUMBERS["level"]
     rate: float = 1

@@ -91,7 +91,7 @@ class Repeats:
 
 CLEAR, SAME, WAIT = LOOPS["clear"], LOOPS["same"], int(LOOPS["wait"])
 USUAL, MEMORY = int(LOOPS["usual"]), int(LOOPS["memory"])
-LAST_FRAMES, BESIDE = int(LOOPS["last_frames"]), int(LOOPS["beside"])
+BESIDE = int(LOOPS["beside"])
 
 
 class Tracks:
@@ -123,7 +123,7 @@ class Tracks:
     @property
     def step(self):
         """How much nearer than different places a frame is to the next."""
-        return max(LOOPS["least_closeness"], np.median(self.steps) - np.median(self.elsewhere))
+        return max(NUMBERS["rounding"], np.median(self.steps) - np.median(self.elsewhere))
 
     def after(self, near, old):
         """Takes the nearness ``(N,)`` of the next frame to all of the stretch, the first old."""
@@ -131,7 +131,7 @@ class Tracks:
         if len(near) < 2 * BESIDE or near[-1] == -np.inf:
             return
         self.steps = [*self.steps, near[-1]][-USUAL:]
-        self.elsewhere = [*self.elsewhere, np.median(near[-LAST_FRAMES:-BESIDE])][-USUAL:]
+        self.elsewhere = [*self.elsewhere, np.median(near[-USUAL:-BESIDE])][-USUAL:]
         seen = near[:old][near[:old] > -np.inf]
         if not len(seen):
             return
@@ -158,9 +158,9 @@ class Tracks:
 
 # ------------------------------------------------------------------------------------- the stream
 
-MOTION = Motion(**{name: LOOPS[name] for name in ("change", "jump", "unmapped", "weight")})
+MOTION = Motion(**{name: LOOPS[name] for name in ("change", "unmapped", "stay", "weight")})
 FITS, LEAST_KNOWN = int(LOOPS["fits"]), int(LOOPS["least_known"])
-STRIDE, RECENT = int(LOOPS["stride"]), int(LOOPS["recent"])
+STRIDE = int(LOOPS["stride"])
 RADIUS_ROWS, MAX_PLACES = 5, 5
 
 
@@ -217,12 +217,12 @@ class Loops:
             if self.starts:
                 self.explained.append(self.tracks.explained)
             self.starts.append(self.count)
-            self.rows = self.without_last(min(RECENT, self.exclude))
+            self.rows = self.without_last(min(BESIDE, self.exclude))
             self.states, self.moving = self.model().start(), False
             self.tracks = Tracks(self.exclude, len(self.channels) == 1)
             self.neighbours, self.fits, self.repeats = [], [], Repeats(self.exclude)
         mapped, fresh = self.states[:-1].reshape(2, len(SPEEDS), self.rows), self.rows
-        self.rows = max(self.rows, self.without_last(min(RECENT, self.exclude)))
+        self.rows = max(self.rows, self.without_last(min(BESIDE, self.exclude)))
         mapped = np.pad(mapped, ((0, 0), (0, 0), (0, self.rows - fresh)))
         self.states = np.append(mapped.ravel(), self.states[-1])
 

@@ -10,7 +10,7 @@ from oracles.filter import LEAST_TOTAL, MAX_LOG, MIN_SPREAD, NUMBERS, Model
 
 from ssrvlad_torch.recognition.sequences import sharing
 
-MIN_FRAMES, SAMPLE = int(NUMBERS["min_frames"]), int(NUMBERS["sample"])
+MIN_FRAMES, SAMPLE = int(NUMBERS["min_frames"]), int(NUMBERS["compared"])
 SAME_PLACE_ROWS, ELSEWHERE = int(NUMBERS["near"]), int(NUMBERS["elsewhere"])
 ROUNDING = 1e-6
 EQUAL = 1e-6
@@ -166,7 +166,7 @@ def gain(scores, sequences, motion, way):
 # ------------------------------------------------------------------------- how sure
 
 PLACES, ROWS_A_PLACE = int(NUMBERS["most_places"]), NUMBERS["rows_a_place"]
-LEAST_STEP = NUMBERS["least_spacing"]
+LEAST_STEP = NUMBERS["rounding"]
 
 
 def chance(values):
@@ -221,19 +221,19 @@ SLOPE, DEVIATION, SHAPES = 0.25, 0.6, (1.0, 2.0)
 """Of the gamma density of right answers: the median of its rate, the deviation of the logit of the
 rate, and the shapes. With the first shape more right answers look like chance than with the second:
 which is true, chances do not show."""
-FRACTIONS, RATES, REACH = 15, 11, 2.5
-"""Of the grid for the fraction of wrong answers and for the rate, and its reach in deviations."""
+POINTS, REACH = int(NUMBERS["points"]), NUMBERS["most_away"]
+"""Of the grids of the prior, and the reach of that of the rate, in deviations."""
 
 
 @cache
 def prior():
     """Points of the prior: the fraction of wrong answers where the map has the places, rate and
     shape of the gamma density of right ones, and the weight."""
-    away = np.linspace(-REACH, REACH, RATES)
+    away = np.linspace(-REACH, REACH, POINTS)
     weights = np.exp(-np.square(away) / 2)
     rates = 1 / (1 + np.exp(math.log(1 / SLOPE - 1) - DEVIATION * away))
-    fractions = (np.arange(FRACTIONS) + 0.5) / FRACTIONS
-    weights /= weights.sum() * FRACTIONS * len(SHAPES)
+    fractions = (np.arange(POINTS) + 0.5) / POINTS
+    weights /= weights.sum() * POINTS * len(SHAPES)
     at_rates = [*zip(rates, weights, strict=True)]
     return [
         (wrong, rate, shape, weight)
@@ -250,7 +250,7 @@ def mapped(chances, together):
     return mean_of_points(weighed, chances)
 
 
-LEVELS, MOST_NEARER = int(NUMBERS["levels"]), NUMBERS["most_nearer"]
+MOST_NEARER = NUMBERS["most_nearer"]
 CHANCE_NEARER, LEAST_TOGETHER = NUMBERS["chance_nearer"], NUMBERS["least_together"]
 
 
@@ -266,7 +266,7 @@ def mapped_along(nearer, together):
             np.minimum(((values - CHANCE_NEARER) ** 2 - (values - level) ** 2) / 2, MAX_LOG)
             / lengths
         )
-        for level in CHANCE_NEARER + np.linspace(0, MOST_NEARER, LEVELS)
+        for level in CHANCE_NEARER + np.linspace(0, MOST_NEARER, POINTS)
     ]
     return mean_of_points([(1, ratio) for ratio in ratios], nearer)
 
@@ -304,7 +304,7 @@ def confidence(chances, mapped, together, followed=False):
 def at_points(chances):
     """Of each point of the prior the weight, the fraction of wrong answers, and how much likelier
     each answer is as one of the right ones than as any where the map lacks the place."""
-    ahead = -np.log(np.clip(chances, math.exp(-20), 1 - 1e-3))
+    ahead = -np.log(np.clip(chances, math.exp(-MAX_LOG), 1 - 1e-3))
     for wrong, r, k, weight in prior():
         log = k * math.log(r) - math.lgamma(k) + (k - 1) * np.log(ahead) + (1 - r) * ahead
         yield weight, wrong, (1 - wrong) * np.exp(log)
@@ -324,7 +324,7 @@ def in_stretches(ratio):
     stay = 1 - 1 / NUMBERS["stretch"]
     change = np.array([[stay, 1 - stay], [1 - stay, stay]])
     emissions = np.stack([ratio, np.ones(len(ratio))], axis=1)
-    before, future, log = np.array([1 - NUMBERS["foreign"], NUMBERS["foreign"]]), np.ones(2), 0.0
+    before, future, log = np.array([1 - NUMBERS["unmapped"], NUMBERS["unmapped"]]), np.ones(2), 0.0
     beliefs, smoothed = [], []
     for now in emissions:
         belief = now * before
