@@ -8,7 +8,7 @@
 namespace places {
 
 namespace {
-constexpr Size STATE = 2;  // what a state holds, and how; it rises with every change
+constexpr Size STATE = 3;  // what a state holds, and how; it rises with every change
 constexpr double NO_ANSWER = std::numeric_limits<double>::quiet_NaN();
 
 bool same(const Course &one, const Course &other) {
