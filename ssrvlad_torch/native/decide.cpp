@@ -75,22 +75,26 @@ struct Likeliest {
   std::vector<std::vector<Seen>> past;
 };
 
-// A course that trails by `trailing` rests, and goes on at the end if the likeliest one has gained nothing since.
+// A course that trails by `trailing` rests, and goes on at the end if of the gain a query of the likeliest one
+// hardly any was left since.
 Likeliest likeliest_of(const Evidence &evidence) {
   const std::vector<Course> tried = courses();
   Trial trial(evidence.map(), tried, KEPT);
   std::vector<std::size_t> running(tried.size());
   std::iota(running.begin(), running.end(), 0);
-  double gain = -std::numeric_limits<double>::infinity();  // of the likeliest, when the last one came to rest
+  Size rested = 0;  // queries until the last one came to rest, and the gain there
+  double gain = 0;
   for (Size query = 0; query < evidence.queries(); ++query) {
     for (const std::size_t course : running) trial.step(evidence, query, course);
     const double best = trial.gains()[likeliest(trial.gains())];
     const auto trails = [&](std::size_t course) { return trial.gains()[course] < best - MODEL.trailing; };
     const auto end = std::remove_if(running.begin(), running.end(), trails);
-    if (end != running.end()) gain = best;
+    if (end != running.end()) rested = query + 1, gain = best;
     running.erase(end, running.end());
   }
-  if (trial.gains()[likeliest(trial.gains())] <= gain)
+  const double since = trial.gains()[likeliest(trial.gains())] - gain;
+  const auto others = static_cast<double>(evidence.queries() - rested);
+  if (rested && since * static_cast<double>(rested) < MODEL.hardly_any * gain * others)
     for (std::size_t course = 0; course < tried.size(); ++course)
       while (trial.count(course) < evidence.queries()) trial.step(evidence, trial.count(course), course);
   const std::size_t best = likeliest(trial.gains());
@@ -103,9 +107,9 @@ bool gains_at_random(const Evidence &evidence, const Course &course, double gain
   for (const Size query : at_random(evidence.queries())) {
     trial.step(evidence, query);
     const double share = static_cast<double>(trial.count(0)) / static_cast<double>(evidence.queries());
-    if (trial.count(0) >= MODEL.min_frames && trial.gains().front() < MODEL.by_rows / 2 * gain * share) return false;
+    if (trial.count(0) >= MODEL.min_frames && trial.gains().front() < MODEL.hardly_any / 2 * gain * share) return false;
   }
-  return trial.gains().front() > MODEL.by_rows * gain;
+  return trial.gains().front() > MODEL.hardly_any * gain;
 }
 
 // The likeliest course; none if there is hardly any gain, or as much in a random order.

@@ -35,7 +35,7 @@ struct PlaceModel {
 
   // Courses
   double of_two = 0.75;      // what counts of the gain of two streams; by hand
-  double by_rows = 0.5;      // of the gain that may be left in a random order; by hand, after a table was seen
+  double hardly_any = 0.5;   // of the gain, in a random order and after others rest; by hand, after a table was seen
   double trailing = 10;      // gain by which a course trails and rests; by hand, for speed
   double least_rate = 0.1;   // gain a query of a course that is taken, of `around` at least: random frames gain less; pairs
   double behind = 1;         // how much less ahead than alone, as the logarithm of a chance, answers may be; so too
