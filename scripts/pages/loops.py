@@ -55,7 +55,6 @@ RESAMPLES = 2000
 KINDS = {
     "lighting change or other side": ("day ->", "evening", "right", "left", "night"),
     "CamVid, odd frames after even ones": ("0001TP", "0016E5"),
-    "the same sequence again": ("day again",),
 }
 """Kinds of pairs by how their names begin."""
 
