@@ -223,7 +223,11 @@ std::vector<Course> courses() {
 double least_gain(Size queries) { return MODEL.least_rate * static_cast<double>(std::max(queries, MODEL.around)); }
 
 std::size_t likeliest(const std::vector<double> &gains) {
-  return static_cast<std::size_t>(std::max_element(gains.begin(), gains.end()) - gains.begin());
+  const auto likely = [&](std::size_t course) { return gains[course] - (course ? MODEL.unusual : 0); };
+  std::size_t best = 0;
+  for (std::size_t course = 1; course < gains.size(); ++course)
+    if (likely(course) > likely(best)) best = course;
+  return best;
 }
 
 }  // namespace places

@@ -67,7 +67,7 @@ double likeness(const std::vector<double> &cosines, Size count) {
   std::vector<double> others, steps;
   double step = -std::numeric_limits<double>::infinity(), sum = 0, squares = 0;
   for (Size row = 0; row + 1 < count; ++row)
-    for (Size other = 0; other <= row - LOOPS.beside; ++other) others.push_back(near(row, other));
+    for (Size other = 0; other <= row - MODEL.elsewhere; ++other) others.push_back(near(row, other));
   for (Size row = 1; row + 1 < count; ++row) steps.push_back(near(row, row - 1));
   for (Size back = 1; back <= MODEL.near; ++back) step = std::max(step, near(count - 1, count - 1 - back));
   for (const double value : others) sum += value;
@@ -157,8 +157,8 @@ class Tracks {
   void after(const float *near, Size count, Size old) {
     before_.swap(closeness_);
     closeness_.assign(count, 0);
-    if (count < 2 * LOOPS.beside || near[count - 1] == NONE) return;
-    const std::vector<float> seen(near + std::max<Size>(0, count - LOOPS.usual), near + count - LOOPS.beside);
+    if (count < 2 * MODEL.elsewhere || near[count - 1] == NONE) return;
+    const std::vector<float> seen(near + std::max<Size>(0, count - LOOPS.usual), near + count - MODEL.elsewhere);
     push(steps_, near[count - 1], LOOPS.usual);
     push(others_, static_cast<float>(median(seen)), LOOPS.usual);
     const Spread spread = plain_spread(near, old);
@@ -336,7 +336,7 @@ class Stream {
 
   // States of the filter, one for each frame but the most recent.
   void grow() {
-    const Size last = without_last(std::min(LOOPS.beside, exclude_));
+    const Size last = without_last(std::min(MODEL.elsewhere, exclude_));
     for (; drives_.rows < last; ++drives_.rows)
       if (std::binary_search(starts_.begin(), starts_.end(), drives_.rows)) drives_.starts.push_back(drives_.rows);
   }

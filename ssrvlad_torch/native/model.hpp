@@ -19,7 +19,7 @@ namespace places {
 struct PlaceModel {
   // Places
   std::int64_t near = 3;              // rows to one that shows the same place, at most; defined, as the tolerance of results
-  std::int64_t elsewhere = 5;         // rows from which on one shows another place; by hand
+  std::int64_t elsewhere = 5;         // rows, or frames, from which on one shows another place; by hand
   std::int64_t min_frames = 30;       // of a sequence with a mean of its own, and of a map that gives confidence; by hand
   std::int64_t before = 10;           // frames like those before, which the mean of the first frames takes in; by hand
   double rounding = 1e-4;    // more than which a wider sweep must lead, and values of rivals differ; defined
@@ -34,6 +34,7 @@ struct PlaceModel {
   double most_log = 50;      // logarithm of a chance, at most: frames may equal their rows; defined
 
   // Courses
+  double unusual = 3;        // how much more another than forwards must gain; by hand: one sequence in twenty takes it
   double of_two = 0.75;      // what counts of the gain of two streams; by hand
   double hardly_any = 0.5;   // of the gain, in a random order and after others rest; by hand, after a table was seen
   double trailing = 10;      // gain by which a course trails and rests; by hand, for speed
@@ -68,7 +69,6 @@ struct LoopModel {
 
   // Frames
   std::int64_t stride = 50;         // the frame before is the one so many parts of the excluded ones ago; by hand
-  std::int64_t beside = 10;         // frames so far apart show different places, of which one can be returned to; by hand
   std::int64_t usual = 100;         // last frames that show what is usual just now; by hand
   std::int64_t memory = 1000;       // frames that show what is usual in a stretch; by hand
   double least_place = 0.01;        // probability of a place that is reported; by hand

@@ -91,7 +91,7 @@ class Repeats:
 
 CLEAR, SAME, WAIT = LOOPS["clear"], LOOPS["same"], int(LOOPS["wait"])
 USUAL, MEMORY = int(LOOPS["usual"]), int(LOOPS["memory"])
-BESIDE = int(LOOPS["beside"])
+BESIDE = int(NUMBERS["elsewhere"])
 
 
 class Tracks:
