@@ -125,6 +125,12 @@ def test_names_that_are_no_time_of_the_file_are_refused(tmp_path, text, names, m
     refuses(message, poses_by_time, tmp_path, text, names)
 
 
+def test_numbers_of_frames_are_no_milliseconds(tmp_path):
+    name, text, _ = FORMS["KITTI-360"]
+    trajectory = read_trajectory(write(tmp_path / name, text))
+    refuses("no pose is near", trajectory.of_frames, ["0000001000"])
+
+
 def test_poses_are_interpolated_by_time_and_the_shorter_turn():
     """The heading turns by the shorter way, and is unknown if one of the two is."""
     poses = [Pose(0, 0, 3), Pose(10, 20, -3), Pose(20, 20, math.nan), Pose(50, 20, 0)]

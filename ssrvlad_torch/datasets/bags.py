@@ -74,8 +74,7 @@ def _open(path: Path, topic: str, _state: str) -> tuple[Any, Any, ForwardReader[
     """A bag, a topic of images and its messages by their numbers, opened again when the state of
     the file changes. Reading messages in order reads the bag once."""
     bag = _opened(path)
-    images = (c for c in bag.connections if c.msgtype in _MESSAGE_TYPES)
-    connection = next(c for c in images if c.topic == topic)
+    connection = _chosen(path, bag, topic, lambda _: None)
     raw = lambda _start: enumerate(m[2] for m in bag.messages(connections=[connection]))  # noqa: E731
     return bag, connection, ForwardReader(raw)
 

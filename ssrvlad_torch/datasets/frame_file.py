@@ -115,7 +115,11 @@ def frame_in_memory(number: int, array: npt.NDArray[Any]) -> FrameFile:
     """The frame of the sequence ``query`` with a number, a label map or a picture as an array."""
     name, place = f"{number:06d}", f"frame {number}"
     file = FrameFile("query", name, Path(name), folder=str(Path.cwd()), place=place)
-    return replace(file, content=lambda _: npy_bytes(array))
+    return replace(file, content=partial(_in_memory, array))
+
+
+def _in_memory(array: npt.NDArray[Any], _: FrameFile) -> bytes:
+    return npy_bytes(array)
 
 
 def _remote(uri: str, file: FrameFile) -> bytes:

@@ -43,12 +43,14 @@ class Trajectory:
         gap: between two poses at most this many seconds apart a frame's pose is interpolated;
             elsewhere it is unknown. ``None``: the nearest pose is used up to 0.02 s away.
         starts: places of poses before which nothing was recorded: none is interpolated there.
+        by_number: whether stamps are the numbers of frames, which their names have.
     """
 
     poses: list[Pose]
     stamps: list[float]
     gap: float | None = None
     starts: frozenset[int] = frozenset()
+    by_number: bool = False
 
     def of_frames(self, names: Sequence[str], stamps: Sequence[float] = ()) -> list[Pose]:
         """The pose of each frame: the n-th pose, or, if poses have stamps, the pose at its time,
@@ -61,7 +63,9 @@ class Trajectory:
                     f"expected {len(self.poses)} frames, one per pose, got {len(names)}"
                 )
             return self.poses
-        count, poses = max(map(self._reached, _times_of(names, stamps)), key=lambda pair: pair[0])
+        times = _times_of(names, () if self.by_number else stamps)
+        reached = map(self._reached, times[:1] if self.by_number else times)
+        count, poses = max(reached, key=lambda pair: pair[0])
         if not count:
             raise ValueError(
                 f"no pose is near in time to the {len(names)} frames, for example {names[0]!r}; "
@@ -185,14 +189,15 @@ def read_trajectory(path: Path, projection: Projection | None = None) -> Traject
         return Trajectory([pose for _, pose in timed], [time for time, _ in timed], _GAP_SECONDS)
     if first.startswith("$G"):
         raise ValueError(f"{path} holds sentences of NMEA; convert them to GPX (gpsbabel)")
-    poses, stamps, is_first = list[Pose](), list[float](), True
+    poses, stamps, is_first, by_number = list[Pose](), list[float](), True, False
     for place, words in words_of(path, text.replace(",", " ")):
         is_header, is_first = is_first and _is_header(words), False
         if is_header:
             continue
         with naming(place):
             numbers = [parse_number(word) for word in words]
-            time, pose = _of_line(numbers, len(words[0]), "q_RS_w" in first)
+            by_number = len(numbers) in _KITTI_360 and len(words[0]) <= _FRAME_DIGITS
+            time, pose = _of_line(numbers, by_number, "q_RS_w" in first)
             if time is None or not math.isnan(pose.x):
                 poses.append(pose)
                 stamps += [] if time is None else [time]
@@ -201,16 +206,16 @@ def read_trajectory(path: Path, projection: Projection | None = None) -> Traject
         raise ValueError(f"{path}: expected lines of one form in order of time")
     if not poses:
         raise ValueError(f"{path} holds no poses")
-    return Trajectory(poses, stamps)
+    return Trajectory(poses, stamps, by_number=by_number)
 
 
-def _of_line(numbers: list[float], digits: int, real_first: bool) -> tuple[float | None, Pose]:
+def _of_line(numbers: list[float], by_number: bool, real_first: bool) -> tuple[float | None, Pose]:
     """The time of a line, if it has one, and its pose; unknown if a number is."""
     count = len(numbers)
     if count == _KITTI:
         return None, Y_DOWN.pose(numbers[3::4], numbers[2::4])
     time, *matrix = numbers
-    if count in _KITTI_360 and digits <= _FRAME_DIGITS:
+    if by_number:
         axis = matrix[0:12:4] if count == _KITTI_360[0] else matrix[2:12:4]
         return time, Z_UP.pose(matrix[3:12:4], axis)
     if count not in (_TUM, _EUROC):

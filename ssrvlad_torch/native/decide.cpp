@@ -20,7 +20,7 @@ constexpr Size BLOCK = 16;            // queries that are shared among threads
 void follow_offline(const Filter &filter, const Evidence &evidence, const std::vector<Size> &queries, int threads,
                     std::vector<Seen> kept, Places &places) {
   const auto count = static_cast<Size>(queries.size());
-  Walk walk{filter, {}};
+  Walk walk{filter, kept.empty() ? Seen{} : kept.back()};
   Size stride = 1;
   for (Size query = static_cast<Size>(kept.size()); query < count; ++query) {
     walk.step(evidence, queries[query]);
@@ -31,7 +31,7 @@ void follow_offline(const Filter &filter, const Evidence &evidence, const std::v
   Seen later;
   Future future;
   std::vector<float> spare;
-  std::vector<std::pair<Seen, std::pair<std::vector<float>, double>>> smoothed;  // of the last queries, backwards
+  std::vector<std::pair<std::shared_ptr<const Sight>, std::pair<std::vector<float>, double>>> smoothed;  // backwards
   for (Size start = (count - 1) / stride * stride; start >= 0; start -= stride) {
     std::vector<Seen> stretch = {kept.back()};
     walk.now = kept.back();
@@ -47,12 +47,12 @@ void follow_offline(const Filter &filter, const Evidence &evidence, const std::v
                                 : filter.none(*now.belief);
       spare = std::move(future.mapped);
       future = std::move(here);
-      smoothed.emplace_back(now, filter.smoothed(*now.belief, future));
+      smoothed.emplace_back(now.sight, filter.smoothed(*now.belief, future));
       later = now;
       if (query % BLOCK) continue;
       over_blocks(static_cast<Size>(smoothed.size()), 1, threads, [&](Size at, Size) {
-        const auto &[seen, beliefs] = smoothed[static_cast<std::size_t>(at)];
-        place(filter, *seen.sight, beliefs, query + static_cast<Size>(smoothed.size()) - 1 - at, places);
+        const auto &[sight, beliefs] = smoothed[static_cast<std::size_t>(at)];
+        place(filter, *sight, beliefs, query + static_cast<Size>(smoothed.size()) - 1 - at, places);
       });
       smoothed.clear();
     }

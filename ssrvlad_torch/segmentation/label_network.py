@@ -39,9 +39,8 @@ class LabelNetwork(nn.Module):
             with naming(network.path):
                 config = _completed(config, network)
         elif any(isinstance(m, torch.jit.ScriptModule) for m in nn.Module.modules(network)):
-            raise ValueError(
-                "expected the module of which the TorchScript was made, got TorchScript"
-            )
+            kind = type(network).__name__
+            raise ValueError(f"expected the module of which the TorchScript was made, got {kind}")
         self.network, self.space, self.config = network, space, config
         self.output: str | None = None
         self.axis: int | None = None
