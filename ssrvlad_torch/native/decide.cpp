@@ -69,15 +69,15 @@ std::vector<Size> at_random(Size count) {
 }
 
 // A course and its gain, 0 without one; what was seen by each of its streams, if that is kept.
-struct Likeliest {
+struct BestCourse {
   Course course;
   double gain = 0;
   std::vector<std::vector<Seen>> past;
 };
 
-// A course that trails by `trailing` rests, and goes on at the end if of the gain a query of the likeliest one
-// hardly any was left since.
-Likeliest likeliest_of(const Evidence &evidence) {
+// A course that trails by `trailing` rests. It goes on at the end if the likeliest one gained less than `remainder`
+// of what it had gained a query until then.
+BestCourse best_course_of(const Evidence &evidence) {
   const std::vector<Course> tried = courses();
   Trial trial(evidence.map(), tried, KEPT);
   std::vector<std::size_t> running(tried.size());
@@ -94,7 +94,7 @@ Likeliest likeliest_of(const Evidence &evidence) {
   }
   const double since = trial.gains()[likeliest(trial.gains())] - gain;
   const auto others = static_cast<double>(evidence.queries() - rested);
-  if (rested && since * static_cast<double>(rested) < MODEL.hardly_any * gain * others)
+  if (rested && since * static_cast<double>(rested) < MODEL.remainder * gain * others)
     for (std::size_t course = 0; course < tried.size(); ++course)
       while (trial.count(course) < evidence.queries()) trial.step(evidence, trial.count(course), course);
   const std::size_t best = likeliest(trial.gains());
@@ -107,15 +107,15 @@ bool gains_at_random(const Evidence &evidence, const Course &course, double gain
   for (const Size query : at_random(evidence.queries())) {
     trial.step(evidence, query);
     const double share = static_cast<double>(trial.count(0)) / static_cast<double>(evidence.queries());
-    if (trial.count(0) >= MODEL.min_frames && trial.gains().front() < MODEL.hardly_any / 2 * gain * share) return false;
+    if (trial.count(0) >= MODEL.min_frames && trial.gains().front() < MODEL.remainder / 2 * gain * share) return false;
   }
-  return trial.gains().front() > MODEL.hardly_any * gain;
+  return trial.gains().front() > MODEL.remainder * gain;
 }
 
 // The likeliest course; none if there is hardly any gain, or as much in a random order.
-Likeliest course_of(const Evidence &evidence) {
+BestCourse course_of(const Evidence &evidence) {
   if (evidence.queries() < 2) return {};
-  Likeliest best = likeliest_of(evidence);
+  BestCourse best = best_course_of(evidence);
   if (best.gain <= least_gain(evidence.queries()) || gains_at_random(evidence, best.course, best.gain)) return {};
   return best;
 }
@@ -144,8 +144,8 @@ std::vector<std::vector<Size>> streams_of(const Course &course, const std::vecto
 }
 
 // Places all streams of a course.
-Followed follow_course(const Evidence &evidence, const Likeness &likeness, Likeliest &likeliest, int threads, Size top) {
-  const Course &course = likeliest.course;
+Followed follow_course(const Evidence &evidence, const Likeness &likeness, BestCourse &best, int threads, Size top) {
+  const Course &course = best.course;
   const Filter filter(evidence.map(), Motion().at(course.rate), {course.way});
   Followed places(evidence.queries(), top);
   places.nearer.resize(places.chance.size());
@@ -154,7 +154,7 @@ Followed follow_course(const Evidence &evidence, const Likeness &likeness, Likel
     const std::vector<Size> &stream = streams[number];
     Places followed(static_cast<Size>(stream.size()), top);
     const bool as_tried = course.rate == 1;  // else a query counts otherwise
-    follow_offline(filter, evidence, stream, threads, as_tried ? std::move(likeliest.past[number]) : std::vector<Seen>{},
+    follow_offline(filter, evidence, stream, threads, as_tried ? std::move(best.past[number]) : std::vector<Seen>{},
                    followed);
     std::vector<Size> rows(stream.size());
     for (std::size_t at = 0; at < rows.size(); ++at) rows[at] = followed.rows[at * top];
@@ -167,8 +167,8 @@ Followed follow_course(const Evidence &evidence, const Likeness &likeness, Likel
       for (; next < std::min(count, end + MODEL.around); ++next) sights.push_back(evidence.beside(stream[next]));
       for (; first < start - MODEL.around; ++first) sights.pop_front();
       near.assign(rows.begin() + first, rows.begin() + next);
-      over_blocks(end - start, 1, threads, [&](Size number, Size) {
-        const Size at = start + number, from = at * top, to = stream[at] * top;
+      over_blocks(end - start, 1, threads, [&](Size offset, Size) {
+        const Size at = start + offset, from = at * top, to = stream[at] * top;
         const auto [around, nearer] = chances_around(filter, sights, near, at - first, MODEL.around);
         std::copy_n(followed.scores.begin() + from, top, places.scores.begin() + to);
         std::copy_n(followed.rows.begin() + from, top, places.rows.begin() + to);
@@ -221,9 +221,9 @@ Judged judge(const Evidence &evidence, bool drive, int threads, Decision &decisi
     for (Size query = first; query < end; ++query) sights.push_back(evidence.alone(query));
     for (const std::shared_ptr<const Sight> &sight : sights)
       if (drive) judged.likeness.add(evidence.profile(*sight));
-    over_blocks(end - first, 1, threads, [&](Size number, Size) {
-      const Sight &sight = *sights[static_cast<std::size_t>(number)];
-      const Size query = first + number;
+    over_blocks(end - first, 1, threads, [&](Size offset, Size) {
+      const Sight &sight = *sights[static_cast<std::size_t>(offset)];
+      const Size query = first + offset;
       put(sight.scores, sight.rows, query, decision);
       if (decision.rows[query * decision.top] < 0) return;
       const Chance chance = chance_of_scores(sight.scores.data(), sight.rows, sight.matching);
@@ -272,15 +272,15 @@ Decision decide(const Listing &listing, const Scores &scores, bool follow, int t
   const Evidence evidence(listing, scores, follow && fits ? scores.queries() : 0);
   Decision decision(evidence.queries(), top);
   Judged judged = judge(evidence, follow, threads, decision);
-  Likeliest likeliest;
-  if (follow) likeliest = course_of(evidence);
-  decision.course = likeliest.course;
-  decision.gain = likeliest.gain;
+  BestCourse best;
+  if (follow) best = course_of(evidence);
+  decision.course = best.course;
+  decision.gain = best.gain;
   if (decision.gain > 0) doubt_lingering(decision, judged);
   assure(judged.chances, mapped(judged.chances, judged.together), judged.together, decision);
   if (decision.gain > 0) {
     decision.gain /= static_cast<double>(evidence.queries());
-    take(follow_course(evidence, judged.likeness, likeliest, threads, top), judged, decision);
+    take(follow_course(evidence, judged.likeness, best, threads, top), judged, decision);
   }
   decision.follows.assign(decision.right.size(), decision.followed);
   if (listing.map.rows < MODEL.min_frames) std::fill(decision.right.begin(), decision.right.end(), 0.0F);

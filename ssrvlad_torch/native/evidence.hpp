@@ -144,7 +144,7 @@ class Trial {
     Walk &walk = streams[static_cast<std::size_t>(counts_[course]++) % streams.size()];
     const double gain = walk.step(evidence, query);
     gains_[course] += streams.size() > 1 ? MODEL.of_two * gain : gain;
-    if (left_ > 0) keep(walk);
+    if (left_ > 0) remember(walk);
   }
 
   // Of the queries by each course: the logarithm of how much likelier they are so than alone; what counts of it.
@@ -166,7 +166,7 @@ class Trial {
   }
 
  private:
-  void keep(Walk &walk) {
+  void remember(Walk &walk) {
     left_ -= static_cast<Size>(walk.now.belief->mapped.size());
     walk.past.push_back(walk.now);
     if (left_ > 0) return;

@@ -1,6 +1,6 @@
 // The numbers that shape where a query is said to be and how sure that is, and whether a frame of a live stream
 // closes a loop. `frames` are those of a query's sequence or of the stream, `rows` those of the map. Each number
-// says how it was obtained; what half and twice of those of places cost is in docs/research/half-twice.csv:
+// says how it was obtained; half and twice of each are in docs/research/half-twice.csv and half-twice-loops.csv:
 //
 //   defined   follows from what it means
 //   drives    chosen on every fifth of the real cases of the page on confidence and on cities 0 to 5
@@ -20,7 +20,7 @@ struct PlaceModel {
   // Places
   std::int64_t near = 3;              // rows to one that shows the same place, at most; defined, as the tolerance of results
   std::int64_t elsewhere = 5;         // rows, or frames, from which on one shows another place; by hand
-  std::int64_t min_frames = 30;       // of a sequence with a mean of its own, and of a map that gives confidence; by hand
+  std::int64_t min_frames = 30;       // of a sequence with a mean, a course online, gaps; of a map with confidence; by hand
   std::int64_t before = 10;           // frames like those before, which the mean of the first frames takes in; by hand
   double rounding = 1e-4;    // more than which a wider sweep must lead, and values of rivals differ; defined
 
@@ -28,7 +28,7 @@ struct PlaceModel {
   double change = 0.05;      // probability of another speed; motion
   double jump = 0.01;        // probability of any other row; by hand
   double unmapped = 0.1;     // prior probability that the map lacks the first place, or one after a jump; by hand
-  std::int64_t stretch = 200;         // mean number of frames whose places the map has, or lacks; drives
+  std::int64_t stretch = 200;         // mean number of frames whose places the map has, or lacks: so many are judged online; drives
   double weight = 0.3;       // of the deviations by which a row is nearer, as the logarithm of a chance; motion
   double level = 0.5;        // deviations of a place that the map lacks; motion
   double most_log = 50;      // logarithm of a chance, at most: frames may equal their rows; defined
@@ -36,7 +36,7 @@ struct PlaceModel {
   // Courses
   double unusual = 3;        // how much more another than forwards must gain; by hand: one sequence in twenty takes it
   double of_two = 0.75;      // what counts of the gain of two streams; by hand
-  double hardly_any = 0.5;   // of the gain, in a random order and after others rest; by hand, after a table was seen
+  double remainder = 0.5;    // of the gain, in a random order, and after others rest; by hand, after a table was seen
   double trailing = 10;      // gain by which a course trails and rests; by hand, for speed
   double least_rate = 0.1;   // gain a query of a course that is taken, of `around` at least: random frames gain less; pairs
   double behind = 1;         // how much less ahead than alone, as the logarithm of a chance, answers may be; so too

@@ -69,31 +69,47 @@ def box(axis: Axis, label: int, s: Span, d: Span, z: Span = (0, 0), inset: Span 
     return label, corners
 
 
-_POST, _SLIM, _WIDE = (-0.08, 0.08), (-0.05, 0.05), (-0.2, 0.2)
+def pole(axis: Axis, height: float, thickness: float = 0.16, label: int = POLE) -> Body:
+    """A square post."""
+    half = thickness / 2
+    return box(axis, label, (-half, half), (-half, half), (0, height))
 
 
-def thing(kind: str, axis: Axis, size: float = 0.0) -> Iterator[Body]:
-    """The boxes of a lamp of a height, whose arm reaches over the street, to the right of the axis;
-    a sign of a width, a car of a length, a traffic light, a person, or a rider and a bicycle."""
-    half = size / 2
-    if kind == "lamp":
-        yield box(axis, POLE, _POST, _POST, (0, size))
-        yield box(axis, POLE, _POST, (-1.8, 0), (size - 0.15, size))
-    elif kind == "sign":
-        yield box(axis, POLE, _SLIM, _SLIM, (0, 2.2))
-        yield box(axis, TRAFFIC_SIGN, _SLIM, (-half, half), (2.0, 2.75))
-    elif kind == "traffic light":
-        yield box(axis, POLE, _POST, _POST, (0, 2.6))
-        yield box(axis, TRAFFIC_LIGHT, _WIDE, _WIDE, (2.5, 3.5))
-    elif kind == "car":
-        yield box(axis, CAR, (-half, half), (-0.9, 0.9), (0.15, 0.85))
-        yield box(axis, CAR, (-half + 0.4, half - 1.0), (-0.85, 0.85), (0.8, 1.48), (0.55, 0.15))
-    else:
-        label, feet = (RIDER, 0.25) if kind == "rider" else (PERSON, 0.0)
-        if kind == "rider":
-            yield box(axis, BICYCLE, (-0.85, 0.85), (-0.1, 0.1), (0, 1.0), (0.3, 0.0))
-        yield box(axis, label, _WIDE, (-0.24, 0.24), (feet, feet + 1.45), (0.03, 0.03))
-        yield box(axis, label, (-0.1, 0.1), (-0.1, 0.1), (feet + 1.45, feet + 1.75))
+def lamp(axis: Axis, height: float) -> Iterator[Body]:
+    """A street lamp; its arm reaches over the street, to the right of the axis."""
+    yield pole(axis, height)
+    yield box(axis, POLE, (-0.08, 0.08), (-1.8, 0), (height - 0.15, height))
+
+
+def sign(axis: Axis, width: float) -> Iterator[Body]:
+    """A traffic sign, perpendicular to the street."""
+    yield pole(axis, 2.2, 0.1)
+    yield box(axis, TRAFFIC_SIGN, (-0.05, 0.05), (-width / 2, width / 2), (2.0, 2.75))
+
+
+def traffic_light(axis: Axis) -> Iterator[Body]:
+    """A traffic light on its pole."""
+    yield pole(axis, 2.6)
+    yield box(axis, TRAFFIC_LIGHT, (-0.2, 0.2), (-0.2, 0.2), (2.5, 3.5))
+
+
+def person(axis: Axis, label: int = PERSON, feet: float = 0.0) -> Iterator[Body]:
+    """A person; `feet` is the height of the feet."""
+    yield box(axis, label, (-0.2, 0.2), (-0.24, 0.24), (feet, feet + 1.45), (0.03, 0.03))
+    yield box(axis, label, (-0.1, 0.1), (-0.1, 0.1), (feet + 1.45, feet + 1.75))
+
+
+def rider(axis: Axis) -> Iterator[Body]:
+    """A bicycle and its rider."""
+    yield box(axis, BICYCLE, (-0.85, 0.85), (-0.1, 0.1), (0, 1.0), (0.3, 0.0))
+    yield from person(axis, RIDER, feet=0.25)
+
+
+def car(axis: Axis, length: float) -> Iterator[Body]:
+    """A car: body and cabin."""
+    half = length / 2
+    yield box(axis, CAR, (-half, half), (-0.9, 0.9), (0.15, 0.85))
+    yield box(axis, CAR, (-half + 0.4, half - 1.0), (-0.85, 0.85), (0.8, 1.48), (0.55, 0.15))
 
 
 def tree(axis: Axis, rng: np.random.Generator, season: str) -> Iterator[Body]:
@@ -102,7 +118,7 @@ def tree(axis: Axis, rng: np.random.Generator, season: str) -> Iterator[Body]:
     height, radius = 5 + 6 * size, 1.4 + 1.6 * girth
     fork = 0.35 * height
     is_bare = season == "winter" and evergreen <= 0.85
-    yield box(axis, VEGETATION, (-0.175, 0.175), (-0.175, 0.175), (0, fork + 0.5))
+    yield pole(axis, fork + 0.5, 0.35, VEGETATION)
     for s, d, up, wide, tall in rng.uniform(-0.5, 0.5, (5, 5)).tolist():
         if is_bare:
             tip = (*axis.point(2 * radius * s, 2 * radius * d), height * (0.9 + 0.2 * up))
@@ -249,15 +265,15 @@ def _furniture(seed: int, side: Side, season: str) -> Iterator[Body]:
     rng = generator(seed, "lamps", *side.key)
     step, height, start = rng.uniform((20, 5, 4), (34, 9, 16)).tolist()
     for s in np.arange(start, side.length - 3, step).tolist():
-        yield from thing("lamp", side.axis.at(s, 0.6), height)
+        yield from lamp(side.axis.at(s, 0.6), height)
     rng = generator(seed, "signs", *side.key)
     for s, width in rng.uniform((5, 0.5), (side.length - 4, 1.2), (4, 2)).tolist():
         if rng.random() < 0.5:
-            yield from thing("sign", side.axis.at(s, 0.8), width)
+            yield from sign(side.axis.at(s, 0.8), width)
     column, row, number = side.key
     junction = column + (number in (1, 2)), row + (number in (2, 3))
     if generator(seed, "junction", *junction).random() < 0.6:
-        yield from thing("traffic light", side.axis.at(3.6, 0.5))
+        yield from traffic_light(side.axis.at(3.6, 0.5))
     elif rng.random() < 0.5:
         yield box(side.axis, POLE_GROUP, (3.4, 3.9), (0.5, 0.7), (0, 3.5))
     rng = generator(seed, "trees", *side.key)
@@ -281,14 +297,14 @@ def changing_bodies(seed: int, side: Side, conditions: Conditions) -> Iterator[B
 
     if side.kerb == PARKING:
         for axis, number in scatter("bays", step=5.8, probability=0.55):
-            yield from thing("car", axis.at(0, 1.15), 3.9 + number)
+            yield from car(axis.at(0, 1.15), length=3.9 + number)
     if side.style.yard == PARKING:
         for axis, number in scatter("yards", step=3.0, probability=0.5):
-            yield from thing("car", axis.at(0, side.walk + 2.6).left(), 3.9 + number)
+            yield from car(axis.at(0, side.walk + 2.6).left(), length=3.9 + number)
     for axis, number in scatter("people", step=3.0, probability=0.15):
-        yield from thing("person", axis.at(0, KERB_STRIP + number * (side.walk - KERB_STRIP)))
+        yield from person(axis.at(0, KERB_STRIP + number * (side.walk - KERB_STRIP)))
     for axis, number in scatter("riders", step=8.0, probability=0.08):
-        yield from thing("rider", axis.at(0, -0.5 - 0.4 * number))
+        yield from rider(axis.at(0, -0.5 - 0.4 * number))
 
 
 def vehicles(seed: int, conditions: Conditions, pose: Pose, seconds: float) -> Iterator[Body]:
@@ -307,7 +323,7 @@ def vehicles(seed: int, conditions: Conditions, pose: Pose, seconds: float) -> I
             if math.dist((vehicle.x, vehicle.y), (pose.x, pose.y)) <= 4 + length / 2:
                 continue
             if length < 5:
-                yield from thing("car", vehicle, length)
+                yield from car(vehicle, length)
             else:
                 label, height = (BUS, 3.1) if length > 10 else (TRUCK, 3.4)
                 span = (-length / 2, length / 2)
