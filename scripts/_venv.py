@@ -45,3 +45,7 @@ def run(*command: str | Path) -> None:
     done = subprocess.run([BIN / command[0], *command[1:]], cwd=ROOT, check=False)
     if done.returncode:
         sys.exit(done.returncode)
+
+
+if __name__ == "__main__":
+    install(sys.argv[1])

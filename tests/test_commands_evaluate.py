@@ -3,9 +3,11 @@
 import json
 import re
 
+import numpy as np
 import pytest
-from drawings import SPACE
+from drawings import SPACE, VOID
 from helpers import write_maps, write_street, write_truth
+from PIL import Image
 
 
 def test_a_note_counts_queries_that_are_in_the_database(ssrvlad, database, maps):
@@ -53,6 +55,15 @@ def test_a_ground_truth_names_frames_by_any_end_of_their_paths(ssrvlad, database
                 assert code == 2 and all(word in err[-1] for word in words)
             else:
                 assert (code, json.loads(out)["queries"]) == (0, 1)
+
+
+@pytest.mark.parametrize("convention", ["exact", "vpr-bench"])
+def test_an_empty_frame_is_a_query_without_candidate(convention, evaluate, tmp_path):
+    Image.fromarray(np.full((24, 32), VOID, np.uint8)).save(tmp_path / "tuesday" / "003.png")
+    arguments = ("--tolerance-frames", 0, "--convention", convention, "--json")
+    metrics = json.loads(evaluate(*arguments)[1])
+    assert metrics["convention"] == convention
+    assert metrics["recall_at"]["1"] == pytest.approx(5 / 6)
 
 
 def test_queries_without_ground_truth_are_left_out_and_counted(evaluate, tmp_path):

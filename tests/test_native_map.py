@@ -216,6 +216,25 @@ def test_a_sequence_is_decided_by_the_fused_scores(seed, follow):
         np.testing.assert_array_equal(getattr(decision, name), getattr(expected, name))
 
 
+def test_channels_in_another_order_are_tracked_alike():
+    there, here = channels(np.random.default_rng(1), [300, 200], 50)
+    one, other = (
+        town_of([300, 200], **{n: there[n] for n in order}).query(
+            {n: here[n] for n in order}, follow="online"
+        )
+        for order in ([*there], [*there][::-1])
+    )
+    np.testing.assert_array_equal(one.rows, other.rows)
+    np.testing.assert_allclose(one.scores, other.scores, atol=1e-5)
+    np.testing.assert_allclose(one.right, other.right, atol=1e-5)
+
+
+def test_the_channels_of_a_map_are_not_to_be_changed():
+    town = town_of([40], shapes=np.eye(40, dtype=np.float32))
+    with pytest.raises(TypeError):
+        del town.channels["shapes"]
+
+
 def test_threads_do_not_change_a_bit():
     there, here = channels(np.random.default_rng(0), [300, 200], 50)
     town = town_of([300, 200], **there)

@@ -41,6 +41,7 @@ def test_a_settings_file_names_a_network_beside_it(tmp_path, monkeypatch):
     ("text", "message"),
     [
         (None, r"cannot read the settings .*net\.yaml: No such file"),
+        ("network: other.yaml", "expected a network, got another file of settings, other.yaml"),
         ("network: [", r"^\S*net\.yaml is not plain YAML: while parsing"),
         ("size: [4, 4]", r"net\.yaml names no network; expected network: NAME"),
         ("network: net.onnx\nmeans: 3", r"^\S*net\.yaml: unknown setting 'means'; expected net"),

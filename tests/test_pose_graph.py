@@ -2,12 +2,13 @@
 
 import json
 import math
+import sys
 from functools import partial
 
 import numpy as np
 import pose_graph
 import pytest
-from helpers import refuses
+from helpers import outcome, refuses
 from PIL import Image
 from pose_graph import Loop, correct, in_front, moved, read_loops, tum_line
 
@@ -122,6 +123,13 @@ def drive(tmp_path):
 @pytest.fixture
 def run(main_of):
     return partial(main_of, pose_graph.main, "pose_graph.py")
+
+
+def test_the_program_is_a_process_of_its_own(drive):
+    words = (drive / "loops.jsonl", "--odometry", drive / "poses.csv", "-o", drive / "corrected")
+    code, lines, errors = outcome(sys.executable, pose_graph.__file__, *words)
+    assert (code, errors) == (0, [])
+    assert lines == [f"301 poses, 201 loops, 0 refused: {drive / 'corrected'}"]
 
 
 @pytest.mark.parametrize("odometry", ["poses.csv", "odometry.tum"])

@@ -5,7 +5,7 @@ import kornia.morphology
 import numpy as np
 import pytest
 import torch
-from drawings import random_planes
+from drawings import pack, random_planes
 from exported import in_onnxruntime, in_openvino
 from helpers import refuses
 from hypothesis import given
@@ -20,7 +20,7 @@ from ssrvlad_torch.stages.boundaries import DIRECTIONS, boundaries
 from ssrvlad_torch.stages.centroid import centre_table, centroids
 from ssrvlad_torch.stages.layers import UNKNOWN, categorise, category_table, refuse_unknown
 from ssrvlad_torch.stages.lengths import lengths
-from ssrvlad_torch.stages.morphology import dilate
+from ssrvlad_torch.stages.morphology import dilate, open_and_close
 from ssrvlad_torch.stages.reduction import reduce_by_majority
 from ssrvlad_torch.stages.shape_context import log_polar_bins, shape_contexts
 from ssrvlad_torch.stages.vanishing_column import vanishing_columns
@@ -33,6 +33,15 @@ def test_dilation_is_kornias(radius):
     kernel = torch.ones(2 * radius + 1, 2 * radius + 1)
     expected = kornia.morphology.dilation(unpack(bits).float(), kernel)
     assert torch.equal(unpack(dilate(bits, radius)), expected.bool())
+
+
+@given(seed=st.integers(0, 10_000), opening=st.integers(0, 5), closing=st.integers(0, 5))
+def test_radii_that_are_tensors_open_and_close_as_in_the_reference(seed, opening, closing):
+    layers = np.random.default_rng(seed).random((8, 23, 17)) < 0.5
+    planes = open_and_close(pack(layers[None]), torch.tensor(opening), torch.tensor(closing))
+    opened = [reference.dilate(reference.erode(layer, opening), opening) for layer in layers]
+    closed = [reference.erode(reference.dilate(layer, closing), closing) for layer in opened]
+    np.testing.assert_array_equal(unpack(planes)[0], np.array(closed))
 
 
 def test_a_centre_is_exact_where_float32_is_not():

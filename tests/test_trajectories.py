@@ -128,7 +128,22 @@ def test_names_that_are_no_time_of_the_file_are_refused(tmp_path, text, names, m
 def test_numbers_of_frames_are_no_milliseconds(tmp_path):
     name, text, _ = FORMS["KITTI-360"]
     trajectory = read_trajectory(write(tmp_path / name, text))
-    refuses("no pose is near", trajectory.of_frames, ["0000001000"])
+    refuses("'0000001000'; expected numbers between 0 and 1", trajectory.of_frames, ["0000001000"])
+    refuses("expected frames named by their numbers.*'a1'", trajectory.of_frames, ["a1"])
+
+
+def test_times_of_euroc_may_be_as_short_as_numbers_of_frames(tmp_path):
+    rows = (f"{time},{x},2,9,{TURNED},{-TURNED},0,0{',0.1' * 9}\n" for time, x in ((0, 1), (5, 3)))
+    trajectory = read_trajectory(write(tmp_path / "data.csv", EUROC + "".join(rows)))
+    np.testing.assert_allclose([pose.x for pose in trajectory.poses], [1, 3])
+    assert trajectory.stamps == [0, 5e-9] and not trajectory.by_number
+
+
+def test_lines_of_two_forms_are_refused(tmp_path):
+    _, car, _ = FORMS["KITTI-360"]
+    camera = FORMS["cameras of KITTI-360"][1].splitlines()[1]
+    mixed = write(tmp_path / "poses.txt", car.splitlines()[0] + "\n" + camera)
+    refuses("expected lines of one form", read_trajectory, mixed)
 
 
 def test_poses_are_interpolated_by_time_and_the_shorter_turn():
@@ -166,7 +181,7 @@ def test_gpx_points_give_times_and_positions(tmp_path):
 
 NOON = POINT.format(time="12:35:19Z")
 DAMAGED = [
-    ("txt", "1 2 3", r"line 1: expected 12 numbers \(KITTI\) or 8 \(TUM\), got 3"),
+    ("txt", "1 2 3", r"line 1: expected 12 numbers \(KITTI\), .* or 8 \(TUM\), got 3"),
     ("txt", "2 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1", "in order of time"),
     ("txt", "1 0 0 0 0 0 0 0", "line 1: .* is not a rotation"),
     ("txt", "1 0 0 inf 0 0 0 1", "line 1: expected a finite number, got inf"),

@@ -239,8 +239,9 @@ class Place {
   void require_golden() const {
     const auto result = golden();
     if (result.holds()) return;
+    const auto& wrong = network_ && head_.golden().holds() ? *network_ : head_;
     throw std::runtime_error(
-        first().path() + " is computed wrong here: the golden pair differs by " +
+        wrong.path() + " is computed wrong here: the golden pair differs by " +
         std::to_string(result.difference) + ", and " + std::to_string(100 * result.other_pixels) +
         " % of its labels and " + std::to_string(100 * result.other_signs) +
         " % of its features differ, and HOG by " + std::to_string(result.hog));

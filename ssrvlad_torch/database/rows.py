@@ -80,9 +80,13 @@ class Origin(NamedTuple):
         return origin
 
 
-Metadata = tuple[SSRVLADConfig | None, tuple[Column, ...], dict[str, Origin]]
-"""The settings of the first column (or ``None``), the columns of descriptors, and origins by their
-keys."""
+class Metadata(NamedTuple):
+    """A table's metadata: the settings of the first column (or ``None``), the columns of
+    descriptors, and origins by their keys."""
+
+    config: SSRVLADConfig | None
+    columns: tuple[Column, ...]
+    origins: dict[str, Origin]
 
 
 def metadata_of(stored: pa.Schema, path: str) -> Metadata:
@@ -116,7 +120,7 @@ def metadata_of(stored: pa.Schema, path: str) -> Metadata:
             for name in entries
             if (key := name.removeprefix(_ORIGIN)) != name
         }
-    return config, columns, origins
+    return Metadata(config, columns, origins)
 
 
 def _digest(text: str) -> str:

@@ -1,7 +1,7 @@
 """Images in ROS 1 and ROS 2 bags, and the pixels of raw ones. Needs the extra ``rosbag``."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache, partial
@@ -75,7 +75,10 @@ def _open(path: Path, topic: str, _state: str) -> tuple[Any, Any, ForwardReader[
     the file changes. Reading messages in order reads the bag once."""
     bag = _opened(path)
     connection = _chosen(path, bag, topic, lambda _: None)
-    raw = lambda _start: enumerate(m[2] for m in bag.messages(connections=[connection]))  # noqa: E731
+
+    def raw(_start: int | None) -> Iterator[tuple[float, bytes]]:
+        return enumerate(raw for _, _, raw in bag.messages(connections=[connection]))
+
     return bag, connection, ForwardReader(raw)
 
 
@@ -171,5 +174,5 @@ def _of_bayer(mosaic: Bytes, order: str) -> Bytes:
     import torch
     from kornia.color import CFA, raw_to_rgb
 
-    pixels = raw_to_rgb(torch.from_numpy(mosaic)[None].float(), CFA[_BAYER[order]])
+    pixels = raw_to_rgb(torch.tensor(mosaic)[None].float(), CFA[_BAYER[order]])
     return pixels.round().byte().permute(1, 2, 0).numpy()

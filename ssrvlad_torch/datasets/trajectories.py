@@ -63,9 +63,17 @@ class Trajectory:
                     f"expected {len(self.poses)} frames, one per pose, got {len(names)}"
                 )
             return self.poses
-        times = _times_of(names, () if self.by_number else stamps)
-        reached = map(self._reached, times[:1] if self.by_number else times)
-        count, poses = max(reached, key=lambda pair: pair[0])
+        if self.by_number:
+            with naming("expected frames named by their numbers"):
+                count, poses = self._reached([parse_number(name) for name in names])
+            if not count:
+                raise ValueError(
+                    f"no pose is of one of the {len(names)} frames, for example {names[0]!r}; "
+                    f"expected numbers between {self.stamps[0]:.0f} and {self.stamps[-1]:.0f}"
+                )
+            return poses
+        times = map(self._reached, _times_of(names, stamps))
+        count, poses = max(times, key=lambda pair: pair[0])
         if not count:
             raise ValueError(
                 f"no pose is near in time to the {len(names)} frames, for example {names[0]!r}; "
@@ -135,8 +143,10 @@ def read_poses(
         for row in rows:
             if any(more := row.get(None, ())):  # as by decimal commas, not by one at the end
                 raise ValueError(f"more cells than columns: {','.join(more)}")
-            if by_time and (row.get("ins_status") or _SURE) != _SURE:
-                continue
+            if by_time:
+                parse_number(row[key])
+                if (row.get("ins_status") or _SURE) != _SURE:
+                    continue
             x, y = parse_number(row[first]), parse_number(row[second])
             direction = parse_number(row.get("yaw" if by_time else third) or "nan")
             direction = math.degrees(direction) if by_time else direction
@@ -149,7 +159,7 @@ def read_poses(
             if is_gps and Fix(*position).is_known:
                 fixes[name] = Fix(*position)
             if repr(poses.setdefault(name, Pose(*position))) != repr(Pose(*position)):  # also NaN
-                raise ValueError(f"frame {row[key]!r} has two positions")
+                raise ValueError(f"{key} {row[key]!r} has two poses")
     except (csv.Error, ValueError) as error:
         raise ValueError(f"{path} line {rows.line_num}: {error}") from error
     if is_gps:
@@ -182,27 +192,29 @@ def read_trajectory(path: Path, projection: Projection | None = None) -> Traject
             return _parse_gpx(text, projection)
     if {"timestamp", "latitude", "longitude"} <= {*first.strip().split(",")}:
         located = read_poses(path, projection, by_time=True)
-        with naming(path):
-            timed = [(parse_number(t) * 1e-6, p) for t, p in located.items() if not math.isnan(p.x)]
+        timed = [(parse_number(t) * 1e-6, p) for t, p in located.items() if not math.isnan(p.x)]
         if not timed or timed != sorted(timed, key=itemgetter(0)):
             raise ValueError(f"{path}: expected positions in order of time")
         return Trajectory([pose for _, pose in timed], [time for time, _ in timed], _GAP_SECONDS)
     if first.startswith("$G"):
         raise ValueError(f"{path} holds sentences of NMEA; convert them to GPX (gpsbabel)")
-    poses, stamps, is_first, by_number = list[Pose](), list[float](), True, False
+    poses, stamps, is_first, counts = list[Pose](), list[float](), True, set[int]()
+    is_euroc, by_number = "q_RS_w" in first, False
     for place, words in words_of(path, text.replace(",", " ")):
         is_header, is_first = is_first and _is_header(words), False
         if is_header:
             continue
         with naming(place):
             numbers = [parse_number(word) for word in words]
-            by_number = len(numbers) in _KITTI_360 and len(words[0]) <= _FRAME_DIGITS
-            time, pose = _of_line(numbers, by_number, "q_RS_w" in first)
+            counts.add(len(numbers))
+            is_frame = len(words[0]) <= _FRAME_DIGITS and not is_euroc
+            by_number = len(numbers) in _KITTI_360 and is_frame
+            time, pose = _of_line(numbers, by_number, is_euroc)
             if time is None or not math.isnan(pose.x):
                 poses.append(pose)
                 stamps += [] if time is None else [time]
     in_order = all(before <= after for before, after in pairwise([*stamps, math.inf]))
-    if stamps and (len(stamps) != len(poses) or not in_order):
+    if stamps and (len(stamps) != len(poses) or len(counts) > 1 or not in_order):
         raise ValueError(f"{path}: expected lines of one form in order of time")
     if not poses:
         raise ValueError(f"{path} holds no poses")
@@ -219,7 +231,9 @@ def _of_line(numbers: list[float], by_number: bool, real_first: bool) -> tuple[f
         axis = matrix[0:12:4] if count == _KITTI_360[0] else matrix[2:12:4]
         return time, Z_UP.pose(matrix[3:12:4], axis)
     if count not in (_TUM, _EUROC):
-        raise ValueError(f"expected 12 numbers (KITTI) or 8 (TUM), got {count}")
+        raise ValueError(
+            f"expected 12 numbers (KITTI), 13 or 17 (KITTI-360) or 8 (TUM), got {count}"
+        )
     x, y, z, *quaternion = numbers[1:_TUM]
     if any(map(math.isnan, numbers[1:_TUM])):
         return time, UNKNOWN

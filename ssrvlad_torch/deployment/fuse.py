@@ -175,10 +175,10 @@ def _save(
     import onnx
 
     path = check_output(path)
-    size, digest = sum(node.ByteSize() for node in model.graph.node), hashlib.sha256()
-    for tensor in onnx.external_data_helper._get_all_tensors(model):
-        size += len(tensor.raw_data)
+    digest, weights_of = hashlib.sha256(), onnx.external_data_helper._get_all_tensors
+    for tensor in weights_of(model):
         digest.update(tensor.raw_data)
+    size = sum(part.ByteSize() for part in (*model.graph.node, *model.graph.initializer))
     with TemporaryDirectory(prefix=f".{path.name}.", dir=path.absolute().parent) as folder:
         staged = Path(folder) / path.name
         weights = f"{path.name}.{digest.hexdigest()[:16]}.data"

@@ -16,9 +16,6 @@ LIBRARY = "libssrvlad" + {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform,
 BUILD = "install the package again, in a checkout run python scripts/hatch_build.py"
 
 
-_NO_MEMORY = number("NO_MEMORY")
-
-
 class Core(NamedTuple):
     """The loaded library, or ``None``; ``status`` names its SIMD, or says how to build it."""
 
@@ -43,7 +40,7 @@ def last_error() -> str:
 def require(status: int, what: str = "") -> None:
     """Raises what a return code of the core means, in its words: a MemoryError, or a ValueError
     that begins with ``what`` was refused."""
-    if status == _NO_MEMORY:
+    if status == number("NO_MEMORY"):
         raise MemoryError(last_error())
     if status:
         raise ValueError(f"{what}: {last_error()}" if what else last_error())

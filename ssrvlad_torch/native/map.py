@@ -10,6 +10,7 @@ import ctypes
 import math
 import weakref
 from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,11 +19,6 @@ import numpy.typing as npt
 from . import last_error, require, required
 from .addresses import address
 from .headers import number, struct
-
-_INTERFACE = number("INTERFACE")
-_Drives, _Shortlist, _Channel = struct("drives"), struct("shortlist"), struct("channel")
-_Queries, _Steps = struct("queries"), struct("steps")
-_Decision, _Taken = struct("decision"), struct("taken")
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.floating[Any]]
@@ -125,23 +121,24 @@ class DescriptorMap:
         core = required()
         starts = np.cumsum([0, *frames], dtype=np.int64)
         self.frames, self._count, self._means = int(starts[-1]), int(starts[-1]), len(frames)
-        drives = _Drives(starts.ctypes.data, len(frames), self.frames)
+        drives = struct("drives")(starts.ctypes.data, len(frames), self.frames)
         if shortlist is None:
-            self._map = core.ssrvlad_map_new_for(_INTERFACE, drives)
+            self._map = core.ssrvlad_map_new_for(number("INTERFACE"), drives)
         else:
             rows = np.ascontiguousarray(shortlist.rows, np.int64)
             means = np.ascontiguousarray(shortlist.means, np.int64)
             weights = np.ascontiguousarray(shortlist.weights, np.float64)
             self._count, self._means = len(rows), len(means)
             first = address(weights, rows.shape, "float64")
-            listed = _Shortlist(
+            listed = struct("shortlist")(
                 rows.ctypes.data, first, self._count, means.ctypes.data, self._means
             )
-            self._map = core.ssrvlad_map_of_for(_INTERFACE, drives, listed)
+            self._map = core.ssrvlad_map_of_for(number("INTERFACE"), drives, listed)
         if not self._map:
             raise ValueError(last_error())
         weakref.finalize(self, core.ssrvlad_map_free, ctypes.c_void_p(self._map))
-        self.channels: dict[str, Array | None] = {}
+        self._channels: dict[str, Array | None] = {}
+        self.channels = MappingProxyType(self._channels)
         self._of_sequences: list[Array | None] = []
 
     def __len__(self) -> int:
@@ -188,9 +185,9 @@ class DescriptorMap:
                 name, means.shape, means.size == size, f"means of {self._means} parts of the map"
             )
             of_means = means.ctypes.data
-        channel = _Channel(first, kind, *shape, trust, of_means)
+        channel = struct("channel")(first, kind, *shape, trust, of_means)
         require(required().ssrvlad_map_add_channel(self._map, channel), name)
-        self.channels[name] = array
+        self._channels[name] = array
         self._of_sequences.append(means)
 
     def query(
@@ -284,8 +281,8 @@ class Target:
             "follows": np.empty(count, np.bool_),
         }
         self._channels, self._weights = channels, (ctypes.c_double * len(channels))()
-        self.decision = _Decision()
-        self.steps = _Taken(weights=ctypes.addressof(self._weights))
+        self.decision = struct("decision")()
+        self.steps = struct("taken")(weights=ctypes.addressof(self._weights))
         for name, array in self._arrays.items():
             setattr(self.decision, name, array.ctypes.data)
 
@@ -326,14 +323,14 @@ class Call:
         _expect("delay", delay, delay >= 0, "at least 0")
         _expect("top", top, top >= 1, "at least 1")
         self._arrays, counts = list[Array | None](), dict[str, int]()  # the core reads them
-        self.queries = (_Queries * len(channels))()
+        self.queries = (struct("queries") * len(channels))()
         for place, (name, rows) in enumerate(channels.items()):
             array, anchors = _queries_of(name, queries[name], rows, len(town))
             self.queries[place] = array.ctypes.data, anchors
             self._arrays.append(array)
             counts[name] = self.count = len(array)
         _expect("queries", counts, len(set(counts.values())) == 1, "one number by all channels")
-        self.steps = _Steps(standardise, sweep, MODES[follow], delay, top)
+        self.steps = struct("steps")(standardise, sweep, MODES[follow], delay, top)
         if allowed is not None:
             allowed = _of_shape("allowed", allowed, np.uint8, (len(town),))
             self.steps.allowed = allowed.ctypes.data

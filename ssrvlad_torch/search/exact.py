@@ -81,7 +81,7 @@ def search(
     exact = temporal or steps.follow == "online"  # a shortlist is made of all queries
     shortlist, reason = (None, "") if exact else open_shortlist(database, used)
     references = shortlist.frames if shortlist else database.load()
-    where = np.ones(count, bool)
+    where = np.ones(len(references.frames), bool)
     if sequences is not None:
         where = select(references, sequences)
     if near:
@@ -189,7 +189,7 @@ def recognise_in(
 ) -> Recognised:
     """Candidates of queries among the frames of a map, by some channels; see `recognise`. ``where``
     ``(R,)`` bool are the rows that may be candidates."""
-    arrays = queries.channels
+    arrays = {channel.name: queries.channels[channel.name] for channel in channels}
     if isinstance(references, FrameSet):
         allowed = None if where is None or where.all() else where
         town = map_of(references, channels)

@@ -38,9 +38,12 @@ class LabelNetwork(nn.Module):
         if isinstance(network, OnnxNetwork):
             with naming(network.path):
                 config = _completed(config, network)
-        elif any(isinstance(m, torch.jit.ScriptModule) for m in nn.Module.modules(network)):
-            kind = type(network).__name__
-            raise ValueError(f"expected the module of which the TorchScript was made, got {kind}")
+        for part in nn.Module.modules(network):
+            if isinstance(part, torch.jit.ScriptModule):
+                raise ValueError(
+                    "expected the module of which the TorchScript was made, got "
+                    f"{type(part).__name__} {getattr(part, 'original_name', '')}"
+                )
         self.network, self.space, self.config = network, space, config
         self.output: str | None = None
         self.axis: int | None = None

@@ -118,8 +118,6 @@ def _open(
     """A network by its name, which stands in a YAML file in a folder, or alone."""
     path, assumed = Path(name), not _COLOURS & settings.keys()
     suffix = path.suffix.lower()
-    if suffix in YAML:
-        return open_network(path)
     if suffix == ".onnx":
         graph = OnnxNetwork(path, runtime)
         names = graph.class_names()
@@ -144,6 +142,10 @@ def _named(path: Path) -> tuple[str, dict[str, Any]]:
     if not isinstance(document, dict) or not isinstance(document.get("network"), str):
         raise ValueError(f"{path} names no network; expected network: NAME, and settings")
     name = document.pop("network")
+    if Path(name).suffix.lower() in YAML:
+        raise ValueError(
+            f"{path}: network: expected a network, got another file of settings, {name}"
+        )
     if name.startswith((".", "/")) or (path.parent / name).exists() or name.endswith(".onnx"):
         with naming(path):
             name = str(path_within(path.parent, name))

@@ -104,7 +104,11 @@ def external_files(path: Path) -> list[Path]:
     with requiring("onnx", "ONNX files need"):
         import onnx
     model = onnx.load(path, load_external_data=False)
-    names = {entries["location"] for _, entries in _external(model)}
+    names = set[str]()
+    for tensor, entries in _external(model):
+        if "location" not in entries:
+            raise InputError(f"{path}: the weights {tensor.name!r} are in a file without a name")
+        names.add(entries["location"])
     return sorted(path_within(path.parent, name) for name in names)
 
 

@@ -67,8 +67,8 @@ class Segmenter:
     (`enlarged`).
 
     Args:
-        network: any module that takes ``(B, 3, H, W)`` floats, or an `OnnxNetwork`. It is put into
-            evaluation mode, runs on the device of its weights, and must stay as it is.
+        network: a module that takes ``(B, 3, H, W)`` floats, no TorchScript, or an `OnnxNetwork`.
+            It is put into evaluation mode, runs on the device of its weights, and must stay as is.
         labels_as: label space of its classes.
         config: the preparation of its pictures, such as that of another segmenter.
         cache: folder in which `segmented` stores its results, by the content of the image file, the
@@ -77,7 +77,8 @@ class Segmenter:
         settings: fields of `SegmenterConfig` in place of those of ``config``.
 
     Raises:
-        ValueError: a setting is unknown or outside its range, or does not fit the ONNX graph.
+        ValueError: a setting is unknown or outside its range, or does not fit the ONNX graph; the
+            network is TorchScript.
         ImportError: an extra is not installed.
 
     Examples:

@@ -149,16 +149,24 @@ def test_a_network_of_a_yaml_file_is_in_its_folder(tmp_path, entry):
     refuses(r"seg\.yaml: expected the name of a file in", open_network, tmp_path / "seg.yaml")
 
 
-def test_external_weights_are_in_the_folder_of_their_model(tmp_path):
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ({"location": "../secret.bin"}, "expected the name of a file in .*secret"),
+        ({}, "the weights 'weights' are in a file without a name"),
+    ],
+)
+def test_external_weights_are_in_the_folder_of_their_model(tmp_path, entries, message):
     weights = onnx.numpy_helper.from_array(np.zeros(3, np.float32), "weights")
     weights.ClearField("raw_data")
     weights.data_location = onnx.TensorProto.EXTERNAL
-    weights.external_data.add(key="location", value="../secret.bin")
+    for key, value in entries.items():
+        weights.external_data.add(key=key, value=value)
     node = onnx.helper.make_node("Identity", ["weights"], ["y"])
     output = onnx.helper.make_tensor_value_info("y", onnx.TensorProto.FLOAT, [3])
     graph = onnx.helper.make_graph([node], "g", [], [output], [weights])
     (tmp_path / "net.onnx").write_bytes(onnx.helper.make_model(graph).SerializeToString())
-    refuses("expected the name of a file in .*secret", external_files, tmp_path / "net.onnx")
+    refuses(message, external_files, tmp_path / "net.onnx")
 
 
 @pytest.mark.parametrize("frame", ["s/a\0b", "//x", "s/../x", "s//x", "a/global_descriptor"])
