@@ -44,7 +44,7 @@ class Chance(NamedTuple):
 
 
 def chance_of(values, rows=None, matching=-1):
-    numbers, rival = doubles(values), ctypes.c_int64()
+    numbers, rival = np.ascontiguousarray(values, np.float32), ctypes.c_int64()
     listed = None if rows is None else np.ascontiguousarray(rows, np.int64)
     assert listed is None or listed.shape == numbers.shape, "a row for each value"
     sizes = ctypes.c_int64(numbers.size), ctypes.c_int64(matching)

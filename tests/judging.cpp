@@ -7,7 +7,7 @@
 using namespace places;
 
 extern "C" {
-double chance(const double *values, const Size *rows, Size count, Size matching, Size *rival) {
+double chance(const float *values, const Size *rows, Size count, Size matching, Size *rival) {
   const Drives drives{{0}, rows && count ? rows[count - 1] + 1 : count};
   const Chance chance = chance_of(values, rows ? drives.some(rows, count) : drives.all(), matching);
   *rival = chance.rival;

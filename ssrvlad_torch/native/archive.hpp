@@ -40,8 +40,8 @@ class Archive {
     copy(&value, sizeof value);
   }
 
-  template <typename Value>
-  void operator()(std::vector<Value> &values) { all(values); }
+  template <typename Value, typename Memory>
+  void operator()(std::vector<Value, Memory> &values) { all(values); }
   template <typename Value>
   void operator()(std::deque<Value> &values) { all(values); }
 

@@ -49,9 +49,8 @@ std::vector<double> mean_steps(double places) {
   return steps;
 }
 
-template <typename Number>
 struct Peak {
-  Number value;
+  float value;
   Size row;
 
   bool operator<(const Peak &other) const {
@@ -59,17 +58,29 @@ struct Peak {
   }
 };
 
+constexpr Size BLOCK = 128;  // values, of which none is a peak if their highest is too low
+
+std::vector<float> highs_of(const float *values, Size count) {
+  std::vector<float> highs;
+  for (Size first = 0; first < count; first += BLOCK)
+    highs.push_back(highest(values + first, std::min(BLOCK, count - first)));
+  return highs;
+}
+
 // The rows that are at least so high and not lower than their neighbours.
-template <typename Number>
-std::vector<Peak<Number>> peaks_of(const Number *values, const Rows &rows, Number least) {
-  std::vector<Peak<Number>> peaks;
+std::vector<Peak> peaks_of(const float *values, const std::vector<float> &highs, const Rows &rows, float least) {
+  std::vector<Peak> peaks;
   for (auto run = rows.runs.begin(); run != rows.runs.end();) {
     const Size first = run->at, row = run->first;
     Size last = run->last;
     for (++run; run != rows.runs.end() && run->first == last; ++run) last = run->last;
     const Size end = first + last - row;
     for (Size place = first; place < end; ++place) {
-      const Number value = values[place];
+      if (highs[static_cast<std::size_t>(place / BLOCK)] < least) {
+        place = (place / BLOCK + 1) * BLOCK - 1;
+        continue;
+      }
+      const float value = values[place];
       if (value >= least && value > NONE && !(place > first && values[place - 1] > value) &&
           !(place + 1 < end && values[place + 1] > value))
         peaks.push_back({value, row + place - first});
@@ -79,30 +90,25 @@ std::vector<Peak<Number>> peaks_of(const Number *values, const Rows &rows, Numbe
 }
 
 // What the highest of several blocks of values are not lower than: most of the best places are above it.
-template <typename Number>
-Number high_level(const Number *values, Size count) {
-  constexpr Size BLOCK = 64, BLOCKS = 4 * MODEL.most_places;
-  std::vector<Number> highs;
-  for (Size first = 0; first < count; first += BLOCK)
-    highs.push_back(*std::max_element(values + first, values + std::min(count, first + BLOCK)));
-  if (static_cast<Size>(highs.size()) <= BLOCKS) return static_cast<Number>(NONE);
-  std::nth_element(highs.begin(), highs.begin() + BLOCKS, highs.end(), std::greater<Number>());
+float high_level(std::vector<float> highs) {
+  constexpr Size BLOCKS = 2 * MODEL.most_places;
+  if (static_cast<Size>(highs.size()) <= BLOCKS) return NONE;
+  std::nth_element(highs.begin(), highs.begin() + BLOCKS, highs.end(), std::greater<float>());
   return highs[BLOCKS];
 }
 
-// The best peaks that are apart, falling, of those that are at least so high.
-template <typename Number>
-std::vector<Peak<Number>> best_above(const Number *values, const Rows &rows, Number least) {
-  std::vector<Peak<Number>> peaks = peaks_of(values, rows, least), best;
+// The best of peaks that are apart, falling.
+std::vector<Peak> best_of(std::vector<Peak> peaks) {
+  std::vector<Peak> best;
   const auto most = static_cast<std::ptrdiff_t>(MODEL.most_places * (2 * MODEL.elsewhere + 1));
   if (static_cast<std::ptrdiff_t>(peaks.size()) > most) {  // no others can be among the best
     std::nth_element(peaks.begin(), peaks.begin() + most, peaks.end());
     peaks.resize(static_cast<std::size_t>(most));
   }
   std::sort(peaks.begin(), peaks.end());
-  for (const Peak<Number> &peak : peaks) {
+  for (const Peak &peak : peaks) {
     if (static_cast<Size>(best.size()) == MODEL.most_places) break;
-    if (std::all_of(best.begin(), best.end(), [&](const Peak<Number> &other) {
+    if (std::all_of(best.begin(), best.end(), [&](const Peak &other) {
           return std::max(peak.row, other.row) - std::min(peak.row, other.row) > MODEL.elsewhere;
         }))
       best.push_back(peak);
@@ -110,23 +116,21 @@ std::vector<Peak<Number>> best_above(const Number *values, const Rows &rows, Num
   return best;
 }
 
-template <typename Number>
-std::vector<Peak<Number>> best_places(const Number *values, const Rows &rows) {
-  const auto none = static_cast<Number>(NONE);
-  const Number high = high_level(values, rows.count);
-  std::vector<Peak<Number>> best = best_above(values, rows, high);
-  return high == none || static_cast<Size>(best.size()) == MODEL.most_places ? best : best_above(values, rows, none);
+std::vector<Peak> best_places(const float *values, const Rows &rows) {
+  const std::vector<float> highs = highs_of(values, rows.count);
+  const float high = high_level(highs);
+  std::vector<Peak> best = best_of(peaks_of(values, highs, rows, high));
+  const bool are_all = high == NONE || static_cast<Size>(best.size()) == MODEL.most_places;
+  return are_all ? best : best_of(peaks_of(values, highs, rows, NONE));
 }
 
 // `unit` turns numbers that rise with the values into values.
-template <typename Number, typename Unit>
-Chance compared(const Number *numbers, const Rows &rows, Size matching, Unit unit) {
-  const std::vector<Peak<Number>> best = best_places(numbers, rows);
+template <typename Unit>
+Chance compared(const float *numbers, const Rows &rows, Size matching, Unit unit) {
+  const std::vector<Peak> best = best_places(numbers, rows);
   Chance result;
   if (best.size() > 1) result.rival = best[1].row;
-  if (matching < 0)
-    matching =
-        std::count_if(numbers, numbers + rows.count, [](Number value) { return value > NONE; });
+  if (matching < 0) matching = std::count_if(numbers, numbers + rows.count, [](float value) { return value > NONE; });
   const double places = static_cast<double>(matching) / MODEL.rows_a_place;
   const Size count = std::min(static_cast<Size>(best.size()) - 1, static_cast<Size>(places) - 1);
   if (count < 2) return result;
@@ -144,23 +148,25 @@ Chance compared(const Number *numbers, const Rows &rows, Size matching, Unit uni
 }  // namespace
 
 Chance chance_of_scores(const float *scores, const Rows &rows, Size matching) {
-  std::vector<float> numbers(scores, scores + rows.count);
-  for (float &number : numbers) number = 1 - static_cast<double>(number) < ROUNDING ? 1 : number;
+  Floats numbers(static_cast<std::size_t>(rows.count));
+  on_cpu([=, to = numbers.data(), count = rows.count](auto) {
+    for (Size place = 0; place < count; ++place)
+      to[place] = 1 - static_cast<double>(scores[place]) < ROUNDING ? 1 : scores[place];
+  });
   return compared(numbers.data(), rows, matching,
                   [](float score) { return nearness(static_cast<double>(score)); });
 }
 
 Chance chance_of_beliefs(const float *beliefs, const float *scores, const Rows &rows,
                          Size matching) {
-  std::vector<float> numbers(beliefs, beliefs + rows.count);
-  for (Size place = 0; place < rows.count; ++place)
-    numbers[place] = scores[place] == NONE ? NONE : std::max(beliefs[place], LEAST_BELIEF);
+  Floats numbers(static_cast<std::size_t>(rows.count));
+  scored(numbers.data(), beliefs, LEAST_BELIEF, scores, rows.count);
   return compared(numbers.data(), rows, matching,
                   [](float belief) { return log_of(static_cast<double>(belief)); });
 }
 
-Chance chance_of(const double *values, const Rows &rows, Size matching) {
-  return compared(values, rows, matching, [](double value) { return value; });
+Chance chance_of(const float *values, const Rows &rows, Size matching) {
+  return compared(values, rows, matching, [](float value) { return static_cast<double>(value); });
 }
 
 std::vector<double> rivals_together(const std::vector<double> &chances, const std::vector<Size> &rivals) {

@@ -24,7 +24,7 @@ struct Chance {
 Chance chance_of_scores(const float *scores, const Rows &rows, Size matching);
 Chance chance_of_beliefs(const float *beliefs, const float *scores, const Rows &rows,
                          Size matching);
-Chance chance_of(const double *values, const Rows &rows, Size matching);
+Chance chance_of(const float *values, const Rows &rows, Size matching);
 
 // How many neighbouring queries have the best rival of each, by the chances of the answers, NaN without one, and the
 // rows of the rivals; 0 without an answer.

@@ -30,8 +30,8 @@ void follow_offline(const Filter &filter, const Evidence &evidence, const std::v
   }
   Seen later;
   Future future;
-  std::vector<float> spare;
-  std::vector<std::pair<std::shared_ptr<const Sight>, std::pair<std::vector<float>, double>>> smoothed;  // backwards
+  Floats spare;
+  std::vector<std::pair<std::shared_ptr<const Sight>, Smoothed>> smoothed;  // backwards
   for (Size start = (count - 1) / stride * stride; start >= 0; start -= stride) {
     std::vector<Seen> stretch = {kept.back()};
     walk.now = kept.back();
@@ -43,11 +43,14 @@ void follow_offline(const Filter &filter, const Evidence &evidence, const std::v
     for (Size query = start + static_cast<Size>(stretch.size()) - 1; query >= start; --query) {
       const Seen now = stretch.back();
       stretch.pop_back();
-      Future here = later.sight ? filter.before(*now.belief, later.sight->rows, *later.likelihood, future, std::move(spare))
-                                : filter.none(*now.belief);
-      spare = std::move(future.mapped);
-      future = std::move(here);
-      smoothed.emplace_back(now.sight, filter.smoothed(*now.belief, future));
+      if (later.sight) {
+        auto [here, beliefs] = filter.before(*now.belief, *now.likelihood, later.sight->rows, future, std::move(spare));
+        spare = std::exchange(future, std::move(here)).mapped;
+        smoothed.emplace_back(now.sight, std::move(beliefs));
+      } else {
+        future = filter.last(*now.belief, *now.likelihood);
+        smoothed.push_back({now.sight, {now.belief->of_rows(), now.belief->unmapped}});
+      }
       later = now;
       if (query % BLOCK) continue;
       over_blocks(static_cast<Size>(smoothed.size()), 1, threads, [&](Size at, Size) {

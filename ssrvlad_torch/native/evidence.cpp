@@ -19,10 +19,10 @@ constexpr Size BLOCK = 256;  // rows of which none is among the best if their hi
 
 // Courses that are tried, both ways.
 constexpr Course COURSES[] = {
-    {FORWARDS, 1, 1}, {FORWARDS, 3, 1}, {FORWARDS, 0.25, 1}, {FORWARDS, 1, MODEL.streams}};
+    {FORWARDS, 1, 1}, {FORWARDS, MOST_RATE, 1}, {FORWARDS, 0.25, 1}, {FORWARDS, 1, MODEL.streams}};
 
 // The places of the highest of values above NONE, the first of equals first.
-std::vector<Size> best_of(const std::vector<float> &values, Size top) {
+std::vector<Size> best_of(const Floats &values, Size top) {
   std::vector<Size> best;
   const auto higher = [&](Size some, Size other) {
     return values[some] > values[other] || (values[some] == values[other] && some < other);
@@ -49,7 +49,7 @@ std::vector<Size> best_of(const std::vector<float> &values, Size top) {
 }
 
 // The highest of values of the rows of a sight at the place of a row, NONE without one.
-double highest_near(const std::vector<float> &values, const Sight &sight, const Drives &drives, Size row) {
+double highest_near(const Floats &values, const Sight &sight, const Drives &drives, Size row) {
   float most = NONE;
   for (const Run &run : sight.rows.runs) {
     if (run.drive != drives.of(row)) continue;
@@ -61,13 +61,11 @@ double highest_near(const std::vector<float> &values, const Sight &sight, const 
 
 // How a row compares with its rivals by values of the rows of a sight; 1 if a row elsewhere is better
 // than all that are `near` it.
-double chance_near(std::vector<float> values, const Sight &sight, const Drives &drives, Size row) {
-  for (std::size_t place = 0; place < values.size(); ++place)
-    if (sight.scores[place] == NONE) values[place] = NONE;
-  if (highest_near(values, sight, drives, row) < static_cast<double>(*std::max_element(values.begin(), values.end())))
-    return 1;
-  const std::vector<double> numbers(values.begin(), values.end());
-  return chance_of(numbers.data(), sight.rows, sight.matching).chance;
+double chance_near(Floats values, const Sight &sight, const Drives &drives, Size row) {
+  const Size count = sight.rows.count;
+  scored(values.data(), values.data(), std::numeric_limits<float>::lowest(), sight.scores.data(), count);
+  if (highest_near(values, sight, drives, row) < static_cast<double>(highest(values.data(), count))) return 1;
+  return chance_of(values.data(), sight.rows, sight.matching).chance;
 }
 
 }  // namespace
@@ -83,10 +81,11 @@ Evidence::Evidence(const Listing &listing, const Scores &scores, Size kept)
 }
 
 Sight Evidence::sight_of(Size query) const {
-  Sight sight{listing_.rows, std::vector<float>(static_cast<std::size_t>(listing_.count())), -1, {}, {}, {}};
-  scores_.of(query, sight.scores.data());
   const Size count = listing_.count();
-  if (std::isnan(sum(sight.scores.data(), count)) || highest(sight.scores.data(), count) > HIGHEST_SCORE)
+  Sight sight{listing_.rows, Floats(static_cast<std::size_t>(count)), NONE, -1, {}, {}, {}};
+  scores_.of(query, sight.scores.data());
+  sight.highest = highest(sight.scores.data(), count);
+  if (std::isnan(sum(sight.scores.data(), count)) || sight.highest > HIGHEST_SCORE)
     refuse("expected scores of at most 1.001, got a higher one or NaN");
   double matching = 0;
   for (std::size_t place = 0; place < listing_.weights.size(); ++place)
@@ -120,7 +119,9 @@ std::shared_ptr<const Sight> Evidence::beside(Size query) const {
   const std::shared_ptr<Sight> sight = near(query).sight;
   if (sight->z.empty()) {
     sight->z.resize(sight->scores.size());
-    if (sight->spread.deviation > MIN_SPREAD)  // equal scores say nothing
+    if (sight->spread.deviation <= MIN_SPREAD)  // equal scores say nothing
+      std::fill(sight->z.begin(), sight->z.end(), 0.0F);
+    else
       deviations(sight->near.data(), listing_.count(), sight->spread, sight->z.data());
   }
   return sight;
@@ -132,9 +133,11 @@ std::shared_ptr<const Likelihood> Evidence::likelihood(const Motion &motion, Siz
     if (motion.weight == weight && motion.level == level) return likelihood;
   const Sight &sight = *here.sight;
   const auto likelihood = std::make_shared<Likelihood>();
-  std::vector<float> &rows = likelihood->rows;
-  rows.assign(sight.near.size(), 1.0F);
-  if (sight.spread.deviation > MIN_SPREAD)
+  Floats &rows = likelihood->rows;
+  rows.resize(sight.near.size());
+  if (sight.spread.deviation <= MIN_SPREAD)
+    std::fill(rows.begin(), rows.end(), 1.0F);
+  else
     likelihoods(sight.near.data(), listing_.count(), motion.weight, motion.level, sight.spread, rows.data());
   // The rows that are not listed are like those of the sample, which stand for them.
   const Size others = listing_.map.rows - listing_.count();
@@ -152,7 +155,7 @@ std::vector<float> Evidence::profile(const Sight &sight) const {
   return scores;
 }
 
-void put(const std::vector<float> &values, const Rows &rows, Size query, Matches &matches) {
+void put(const Floats &values, const Rows &rows, Size query, Matches &matches) {
   Size at = query * matches.top;
   for (const Size place : best_of(values, matches.top)) {
     matches.scores[at] = values[place];
@@ -162,14 +165,12 @@ void put(const std::vector<float> &values, const Rows &rows, Size query, Matches
 
 // Of one query by the beliefs in its listed rows. Rows without a score are no candidates, unless none has
 // one: any row may be the place of an empty query.
-void place(const Filter &filter, const Sight &sight,
-           const std::pair<std::vector<float>, double> &found, Size query, Places &places) {
-  const auto &[beliefs, unmapped] = found;
-  std::vector<float> masked = beliefs;
-  if (highest(sight.scores.data(), sight.rows.count) > NONE)
-    for (Size row = 0; row < sight.rows.count; ++row)
-      if (sight.scores[row] == NONE) masked[row] = NONE;
-  put(masked, sight.rows, query, places);
+void place(const Filter &filter, const Sight &sight, const Smoothed &smoothed, Size query, Places &places) {
+  const auto &[beliefs, unmapped] = smoothed;
+  Floats candidates = beliefs;
+  if (sight.highest > NONE)
+    scored(candidates.data(), beliefs.data(), 0, sight.scores.data(), sight.rows.count);
+  put(candidates, sight.rows, query, places);
   places.unmapped[query] = static_cast<float>(unmapped);
   const Size row = places.rows[query * places.top];
   if (row >= 0) {
@@ -192,7 +193,7 @@ std::pair<double, double> chances_around(const Filter &filter, const std::deque<
   const auto [least, most] = filter.reach();
   const Size longest = std::max(-least, most);
   const Sight &here = *sights[at];
-  std::vector<float> total = here.z;
+  Floats total = here.z;
   const auto take = [&](Size other) {
     const Sight &sight = *sights[other];
     const Size moved = rows[other] - rows[at];

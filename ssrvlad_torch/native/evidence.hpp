@@ -23,11 +23,12 @@ std::vector<Size> in_order(Size count);
 // than 0 for those that have a score.
 struct Sight {
   const Rows &rows;
-  std::vector<float> scores;
+  Floats scores;
+  float highest;
   Size matching;
-  std::vector<float> near;  // if it is followed; and the spread of all rows
+  Floats near;  // if it is followed; and the spread of all rows
   Spread spread;
-  std::vector<float> z;  // beside others: by how many deviations each row is nearer than the mean of all
+  Floats z;  // beside others: by how many deviations each row is nearer than the mean of all
 };
 
 // The queries of one sequence, and how they fit a map. Not to be shared by threads.
@@ -79,7 +80,7 @@ struct Seen {
     archive(exists);
     if (!exists) return;
     Belief all = belief ? *belief : Belief{rows, {}, 0, 1};
-    archive(all.mapped), archive(all.elsewhere), archive(all.unmapped);
+    archive(all.mapped), archive(all.elsewhere), archive(all.unmapped), archive(all.unit);
     if (archive.reads()) belief = std::make_shared<Belief>(std::move(all));
   }
 };
@@ -88,7 +89,7 @@ struct Seen {
 struct Walk {
   const Filter &filter;
   Seen now;
-  std::vector<float> spare{};  // of a belief that nothing keeps
+  Floats spare{};              // of a belief that nothing keeps
   std::vector<Seen> past{};    // so far, if it is kept
 
   // Takes the next query: the logarithm of how much likelier it is so than alone.
@@ -96,20 +97,23 @@ struct Walk {
     const std::shared_ptr<Belief> before = std::move(now.belief);
     now = {evidence.alone(query), evidence.likelihood(filter.motion(), query), nullptr};
     const Rows &rows = now.sight->rows;
-    now.belief = std::make_shared<Belief>(before ? filter.predicted(*before, rows, std::move(spare))
-                                                 : filter.start(rows));
+    if (!before) {
+      now.belief = std::make_shared<Belief>(filter.start(rows));
+      return filter.update(*now.belief, *now.likelihood);
+    }
+    auto [after, gain] = filter.after(*before, rows, *now.likelihood, std::move(spare));
+    now.belief = std::make_shared<Belief>(std::move(after));
     if (before.use_count() == 1) spare = std::move(before->mapped);
-    return filter.update(*now.belief, *now.likelihood);
+    return gain;
   }
 };
 
 // Puts the highest of values above NONE among the candidates of a query, of equals the first one first.
-void put(const std::vector<float> &values, const Rows &rows, Size query, Matches &matches);
+void put(const Floats &values, const Rows &rows, Size query, Matches &matches);
 
 // Of one query by the beliefs in its listed rows. Rows without a score are no candidates, unless none has
 // one: any row may be the place of an empty query.
-void place(const Filter &filter, const Sight &sight,
-           const std::pair<std::vector<float>, double> &beliefs, Size query, Places &places);
+void place(const Filter &filter, const Sight &sight, const Smoothed &beliefs, Size query, Places &places);
 
 // How the row of an answer compares with its rivals by the sights of the neighbouring queries of a stream, as far
 // as no step between the rows of their answers is longer than the filter can make: `around` earlier ones, and so

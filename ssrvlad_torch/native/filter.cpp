@@ -20,13 +20,11 @@ const std::array<std::vector<std::pair<Size, double>>, SPEEDS> STEPS = {{
     {{3, 0.15}, {4, 0.7}, {5, 0.15}},
 }};
 
-// Calls a function with the rows of a list in pieces of neighbours.
+// Calls a function with neighbouring rows in pieces.
 template <typename Function>
-void in_pieces(const Rows &rows, Function function) {
-  for (const Run &run : rows.runs)
-    for (Size first = run.first; first < run.last; first += BLOCK)
-      function(
-          Run{first, std::min(run.last, first + BLOCK), run.at + first - run.first, run.drive});
+void in_pieces(const Run &run, Function function) {
+  for (Size first = run.first; first < run.last; first += BLOCK)
+    function(Run{first, std::min(run.last, first + BLOCK), run.at + first - run.first, run.drive});
 }
 
 // Calls a function with the place and the number of rows of one list that are not in another.
@@ -39,30 +37,113 @@ void visit_others(const Rows &rows, const Rows &listed, const Drives &drives, Fu
         [](Size, Size) {});
 }
 
-// Adds to a target the sums of following values, each times its weight.
+// Makes a target of sums of following values, each times its weight.
 template <Size WIDTH>
 void slide_by(float *target, const float *values, Size count, const float *weights) {
   on_cpu([=](auto) {
     for (Size i = 0; i < count; ++i) {
       float total = 0;
       for (Size k = 0; k < WIDTH; ++k) total += weights[k] * values[i + k];
-      target[i] += total;
+      target[i] = total;
     }
   });
 }
 
-// The same of any number of weights: a loop of a number that the compiler knows is ten times as fast.
-void slide(float *target, const float *values, Size count, const float *weights, Size width) {
+// The same of as many weights as a speed at MOST_RATE has: a loop of a number that the compiler knows is ten times
+// as fast.
+void slide(float *target, const float *values, Size count, const std::vector<float> &weights) {
   constexpr decltype(&slide_by<1>) BY[] = {slide_by<1>, slide_by<2>, slide_by<3>, slide_by<4>,
                                            slide_by<5>, slide_by<6>, slide_by<7>};
-  constexpr Size MOST = std::size(BY);
-  for (; width > 0; width -= MOST, values += MOST, weights += MOST)
-    BY[std::min(width, MOST) - 1](target, values, count, weights);
+  BY[weights.size() - 1](target, values, count, weights.data());
+}
+
+// The sums of the speeds of neighbouring rows, of as many rows.
+void sum_speeds(float *target, const float *values, Size rows, Size count) {
+  on_cpu([=](auto) {
+    for (Size i = 0; i < count; ++i) {
+      float total = values[i];
+      for (int speed = 1; speed < SPEEDS; ++speed) total += values[speed * rows + i];
+      target[i] = total;
+    }
+  });
 }
 
 // Of values and what they have in common, each times a factor.
-void mixed(float *target, const float *values, float factor, const float *common, float part, Size count) {
+void mix(float *target, const float *values, float factor, const float *common, float part, Size count) {
   on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] = factor * values[i] + part * common[i]; });
+}
+
+// Memory for neighbouring rows of a drive, and those that steps lead to or from: by speed what comes from a list.
+struct Window {
+  struct Part {
+    Size at, place, count;  // in the window, and in the list
+  };
+
+  std::vector<Part> parts;
+  Floats values, all, moved;
+
+  bool is_full() const { return parts.size() == 1 && parts.front().count == static_cast<Size>(values.size()); }
+  const float *of(int speed, Size count) const { return moved.data() + speed * count; }
+};
+
+// What comes to neighbouring rows of a drive from the listed rows of a belief.
+void arrive(const Belief &before, Size way, const Drives &drives, const Steps &steps, const Motion &motion,
+            const Run &to, Window &window) {
+  const Size size = to.last - to.first, first = to.first - steps.last, width = size + steps.last - steps.first;
+  const float *mapped = before.mapped.data() + way * SPEEDS * before.rows.count;
+  const double stays = (1 - motion.jump) * before.unit;
+  window.parts.clear();
+  window.moved.resize(static_cast<std::size_t>(SPEEDS * size));
+  visit(
+      first, first + width, to.drive, before.rows, drives,
+      [&](Size row, Size place, Size count) { window.parts.push_back({row - first, place, count}); },
+      [](Size, Size) {}, [](Size, Size) {});
+  for (Floats *numbers : {&window.values, &window.all}) {
+    numbers->resize(static_cast<std::size_t>(width));
+    if (!window.is_full()) std::fill(numbers->begin(), numbers->end(), 0.0F);
+  }
+  for (const auto &[at, place, count] : window.parts)
+    sum_speeds(window.all.data() + at, mapped + place, before.rows.count, count);
+  for (int number = 0; number < SPEEDS; ++number) {
+    const Steps::Speed &speed = steps.of[number];
+    for (const auto &[at, place, count] : window.parts)
+      mix(window.values.data() + at, mapped + number * before.rows.count + place,
+          static_cast<float>(stays * (1 - motion.change)), window.all.data() + at,
+          static_cast<float>(stays * motion.change * PRIOR[number]), count);
+    slide(window.moved.data() + number * size, window.values.data() + steps.last - speed.last(), size,
+          speed.reversed);
+  }
+}
+
+// What is found from neighbouring rows of a drive, by a future, from a list, from rows that are not listed, and outside
+// the drive; and from all speeds by a change of it.
+void depart(const Future &future, Size way, const Rows &later, double outside, const Drives &drives,
+            const Steps &steps, const Motion &motion, const Run &from, Window &window) {
+  const Size size = from.last - from.first, first = from.first + steps.first,
+             width = size + steps.last - steps.first;
+  const float *mapped = future.mapped.data() + way * SPEEDS * later.count;
+  window.parts.clear();
+  window.values.resize(static_cast<std::size_t>(width));
+  window.all.assign(static_cast<std::size_t>(size), static_cast<float>(motion.jump * outside));
+  window.moved.resize(static_cast<std::size_t>(SPEEDS * size));
+  const auto fill = [&](Size row, Size count, double value) {
+    std::fill_n(window.values.begin() + row - first, count, static_cast<float>(value / future.unit));
+  };
+  visit(
+      first, first + width, from.drive, later, drives,
+      [&](Size row, Size place, Size count) { window.parts.push_back({row - first, place, count}); },
+      [&](Size row, Size count) { fill(row, count, future.elsewhere); },
+      [&](Size row, Size count) { fill(row, count, outside); });
+  for (int number = 0; number < SPEEDS; ++number) {
+    const Steps::Speed &speed = steps.of[number];
+    const float *values = window.is_full() ? mapped + number * later.count + window.parts.front().place : window.values.data();
+    for (const auto &[at, place, count] : window.parts)
+      if (!window.is_full()) std::copy_n(mapped + number * later.count + place, count, window.values.begin() + at);
+    float *moved = window.moved.data() + number * size;
+    slide(moved, values + speed.first - steps.first, size, speed.chances);
+    add(window.all.data(), moved,
+        static_cast<float>((1 - motion.jump) * motion.change * PRIOR[number] * future.unit), size);
+  }
 }
 }  // namespace
 
@@ -77,10 +158,10 @@ Motion Motion::at(double other) const {
   return motion;
 }
 
-Steps::Steps(double rate) {
+Steps::Steps(double rate, int way) {
   const double whole = std::floor(rate);
   for (int speed = 0; speed < SPEEDS; ++speed) {
-    Size first = 0;
+    Size least_step = 0;
     std::vector<double> chances = {1};
     for (double done = 0; done < rate; ++done) {
       const double likely = done < whole ? 1.0 : rate - whole;
@@ -92,11 +173,17 @@ Steps::Steps(double rate) {
         for (const auto &[step, part] : STEPS[speed])
           after[place + static_cast<std::size_t>(step - least)] += chances[place] * part * likely;
       }
-      first += least;
+      least_step += least;
       chances = after;
     }
-    while (chances.front() == 0) chances.erase(chances.begin()), ++first;
-    of[speed] = {first, {chances.begin(), chances.end()}, {chances.rbegin(), chances.rend()}};
+    while (chances.front() == 0) chances.erase(chances.begin()), ++least_step;
+    if (way == BACKWARDS) {
+      std::reverse(chances.begin(), chances.end());
+      least_step = 1 - least_step - static_cast<Size>(chances.size());
+    }
+    of[speed] = {least_step, {chances.begin(), chances.end()}, {chances.rbegin(), chances.rend()}};
+    first = speed ? std::min(first, least_step) : least_step;
+    last = speed ? std::max(last, of[speed].last()) : of[speed].last();
   }
 }
 
@@ -106,7 +193,7 @@ void likelihoods(const float *near, Size count, double weight, double level, con
     for (Size i = 0; i < count; ++i) {
       const double emission = (static_cast<double>(near[i]) - least) * factor;
       const double capped = emission < limits.most ? emission : limits.most;
-      likely[i] = static_cast<float>(exp_of(near[i] == NONE ? limits.none : capped));
+      likely[i] = static_cast<float>(exp_of<10>(near[i] == NONE ? limits.none : capped));
     }
   });
 }
@@ -166,25 +253,23 @@ Spread Listing::spread(const float *near) const {
   return {mean, std::max(MIN_SPREAD, std::sqrt(squares / number))};
 }
 
-std::vector<float> Belief::of_rows(std::vector<float> memory) const {
-  memory.assign(mapped.begin(), mapped.begin() + rows.count);
-  for (int speed = 1; speed < SPEEDS; ++speed)
-    add(memory.data(), mapped.data() + speed * rows.count, 1, rows.count);
+Floats Belief::of_rows(Floats memory) const {
+  memory.resize(static_cast<std::size_t>(rows.count));
+  sum_speeds(memory.data(), mapped.data(), rows.count, rows.count);
+  scale(memory.data(), static_cast<float>(unit), rows.count);
   return memory;
 }
 
 // -------------------------------------------------------------------------------------------- filter
 
-Filter::Filter(const Drives &drives, const Motion &motion, std::vector<int> ways)
-    : drives_(drives), motion_(motion), steps_(motion.rate), ways_(std::move(ways)) {}
+Filter::Filter(const Drives &drives, const Motion &motion, const std::vector<int> &ways)
+    : drives_(drives), motion_(motion) {
+  for (const int way : ways) ways_.emplace_back(motion.rate, way);
+}
 
 std::pair<Size, Size> Filter::reach() const {
   Size least = 0, most = 0;
-  for (const int way : ways_)
-    for (const Steps::Speed &speed : steps_.of) {
-      least = std::min({least, way * speed.first, way * speed.last()});
-      most = std::max({most, way * speed.first, way * speed.last()});
-    }
+  for (const Steps &steps : ways_) least = std::min(least, steps.first), most = std::max(most, steps.last);
   return {least, most};
 }
 
@@ -194,7 +279,12 @@ Size Filter::places() const {
 
 double Filter::unmapped_at_start() const { return drives_.rows ? motion_.unmapped : 1.0; }
 
-Belief Filter::start(const Rows &rows, std::vector<float> memory) const {
+double Filter::any_row(double mapped, double elsewhere, const Rows &rows) const {
+  const auto others = static_cast<double>((drives_.rows - rows.count) * static_cast<Size>(ways_.size()));
+  return (mapped + others * elsewhere) / static_cast<double>(places());
+}
+
+Belief Filter::start(const Rows &rows, Floats memory) const {
   memory.clear();
   Belief belief{rows, std::move(memory), 0, unmapped_at_start()};
   const double share = (1 - belief.unmapped) / static_cast<double>(places());
@@ -208,9 +298,9 @@ Belief Filter::start(const Rows &rows, std::vector<float> memory) const {
   return belief;
 }
 
-Belief Filter::extended(const Belief &belief, const Rows &rows, std::vector<float> memory) const {
+Belief Filter::extended(const Belief &belief, const Rows &rows, Floats memory) const {
   memory.assign(ways_.size() * SPEEDS * static_cast<std::size_t>(rows.count), 0);
-  Belief more{rows, std::move(memory), belief.elsewhere, belief.unmapped};
+  Belief more{rows, std::move(memory), belief.elsewhere, belief.unmapped, belief.unit};
   const auto copy = [&](const Run &run, Size row, Size place, Size count) {
     for (std::size_t state = 0; state < ways_.size() * SPEEDS; ++state)
       std::copy_n(belief.mapped.data() + static_cast<Size>(state) * belief.rows.count + run.at +
@@ -225,211 +315,179 @@ Belief Filter::extended(const Belief &belief, const Rows &rows, std::vector<floa
   return more;
 }
 
-// Moves the belief in listed rows. Returns what reaches rows that are not listed; what leaves its drive
-// is lost.
-double Filter::transition(const Belief &before, Belief &after, double &lost) const {
-  const Size here = before.rows.count, there = after.rows.count;
-  const double stays = 1 - motion_.jump;
-  double left = 0;
-  std::vector<float> all(BLOCK), padded, out;
-  in_pieces(before.rows, [&](const Run &piece) {
-    const Size size = piece.last - piece.first;
-    for (std::size_t way = 0; way < ways_.size(); ++way) {
-      const float *from = before.mapped.data() + static_cast<Size>(way) * SPEEDS * here + piece.at;
-      std::copy_n(from, size, all.data());
-      for (int speed = 1; speed < SPEEDS; ++speed) add(all.data(), from + speed * here, 1, size);
-      for (int speed = 0; speed < SPEEDS; ++speed) {
-        const Steps::Speed &steps = steps_.of[speed];
-        const Size width = steps.count(), reached = size + width - 1;
-        padded.resize(static_cast<std::size_t>(reached + width - 1));
-        std::fill_n(padded.begin(), width - 1, 0.0F);
-        std::fill_n(padded.end() - (width - 1), width - 1, 0.0F);
-        mixed(padded.data() + width - 1, from + speed * here,
-              static_cast<float>(stays * (1 - motion_.change)), all.data(),
-              static_cast<float>(stays * motion_.change * PRIOR[speed]), size);
-        const bool onwards = ways_[way] == FORWARDS;
-        const float *chances = (onwards ? steps.reversed : steps.chances).data();
-        const Size first = piece.first + (onwards ? steps.first : -steps.last());
-        float *to = after.mapped.data() + (static_cast<Size>(way) * SPEEDS + speed) * there;
-        const auto moved = [&](Size row, Size count) {
-          out.assign(static_cast<std::size_t>(count), 0.0F);
-          slide(out.data(), padded.data() + row - first, count, chances, width);
-          return sum(out.data(), count);
+// What comes from the rows of a belief to rows that are not listed, and out of its drive.
+Filter::Passing Filter::passing(const Belief &before, const Rows &rows) const {
+  Passing passing;
+  Window window;
+  for (std::size_t way = 0; way < ways_.size(); ++way) {
+    const Steps &steps = ways_[way];
+    const Run *previous = nullptr;
+    for (const Run &run : before.rows.runs) {
+      const auto add_to = [&](double &total) {
+        return [&](Size row, Size count) {
+          in_pieces({row, row + count, 0, run.drive}, [&](const Run &to) {
+            arrive(before, static_cast<Size>(way), drives_, steps, motion_, to, window);
+            total += quick_sum(window.moved.data(), SPEEDS * (to.last - to.first));
+          });
         };
-        visit(
-            first, first + reached, piece.drive, after.rows, drives_,
-            [&](Size row, Size place, Size count) {
-              slide(to + place, padded.data() + row - first, count, chances, width);
-            },
-            [&](Size row, Size count) { left += moved(row, count); },
-            [&](Size row, Size count) { lost += moved(row, count); });
-      }
+      };
+      Size first = run.first + steps.first;
+      if (previous && previous->drive == run.drive) first = std::max(first, previous->last + steps.last);
+      visit(
+          first, run.last + steps.last, run.drive, rows, drives_, [](Size, Size, Size) {},
+          add_to(passing.unlisted), add_to(passing.outside));
+      previous = &run;
     }
-  });
-  return left;
+  }
+  return passing;
 }
 
-Belief Filter::predicted(const Belief &before, const Rows &rows, std::vector<float> memory) const {
-  if (!drives_.rows) return {rows, {}, 0, 1};
+std::pair<Belief, double> Filter::after(const Belief &before, const Rows &rows, const Likelihood &likelihood,
+                                        Floats memory) const {
+  if (!drives_.rows) return {Belief{rows, {}, 0, 1}, 0.0};
   const Size here = before.rows.count, there = rows.count;
   const auto ways = static_cast<Size>(ways_.size());
-  memory.assign(static_cast<std::size_t>(ways * SPEEDS * there), 0);
-  Belief after{rows, std::move(memory), 0, 0};
-  double lost = motion_.jump * (1 - before.unmapped);
-  const double left = transition(before, after, lost);
+  const Passing passing = this->passing(before, rows);
+  const double lost = passing.outside + motion_.jump * (1 - before.unmapped);
   Size fresh = 0;  // listed now, but not before
   visit_others(rows, before.rows, drives_, [&](Size, Size count) { fresh += count; });
   const double stayed = before.elsewhere * (1 - motion_.jump);
   const double came = stayed * static_cast<double>(fresh) /
                       static_cast<double>(std::max<Size>(1, drives_.rows - here));
-  if (came > 0) {
-    const double share = came / static_cast<double>(fresh * ways);
-    visit_others(rows, before.rows, drives_, [&](Size place, Size count) {
-      for (Size state = 0; state < ways * SPEEDS; ++state)
-        for (Size i = 0; i < count; ++i)
-          after.mapped[static_cast<std::size_t>(state * there + place + i)] +=
-              static_cast<float>(PRIOR[static_cast<std::size_t>(state % SPEEDS)] * share);
-    });
-  }
-  const double any_row = lost * (1 - motion_.unmapped) + before.unmapped * (1 - motion_.stay);
-  const double share = any_row / static_cast<double>(places());
+  const double by_chance = (lost * (1 - motion_.unmapped) + before.unmapped * (1 - motion_.stay)) /
+                           static_cast<double>(places());
+  const double at_fresh = fresh ? came / static_cast<double>(fresh * ways) : 0;
+  Belief after{rows, std::move(memory)};
+  after.mapped.resize(static_cast<std::size_t>(ways * SPEEDS * there));
   after.unmapped = lost * motion_.unmapped + before.unmapped * motion_.stay;
-  after.elsewhere =
-      left + stayed - came + share * static_cast<double>((drives_.rows - there) * ways);
-  for (Size state = 0; state < ways * SPEEDS; ++state)
-    raise(after.mapped.data() + state * there,
-          static_cast<float>(PRIOR[static_cast<std::size_t>(state % SPEEDS)] * share), there);
-  return after;
+  after.elsewhere = passing.unlisted + stayed - came + by_chance * static_cast<double>((drives_.rows - there) * ways);
+  double mapped = 0;
+  Window window;
+  Floats from_others;
+  for (Size way = 0; way < ways; ++way)
+    for (const Run &run : rows.runs)
+      in_pieces(run, [&](const Run &to) {
+        const Size size = to.last - to.first;
+        arrive(before, way, drives_, ways_[static_cast<std::size_t>(way)], motion_, to, window);
+        from_others.assign(static_cast<std::size_t>(size), static_cast<float>(by_chance));
+        if (at_fresh > 0)
+          visit(
+              to.first, to.last, to.drive, before.rows, drives_, [](Size, Size, Size) {},
+              [&](Size row, Size count) { raise(from_others.data() + row - to.first, static_cast<float>(at_fresh), count); },
+              [](Size, Size) {});
+        for (int speed = 0; speed < SPEEDS; ++speed)
+          mapped += weighed(after.mapped.data() + (way * SPEEDS + speed) * there + to.at, window.of(speed, size),
+                            from_others.data(), static_cast<float>(PRIOR[speed]),
+                            likelihood.rows.data() + to.at, size);
+      });
+  const double total = mapped + after.elsewhere * likelihood.elsewhere + after.unmapped;
+  if (total >= LEAST_TOTAL) {
+    const double gain = take(total, after, likelihood);
+    return {std::move(after), gain};
+  }
+  after = start(rows, std::move(after.mapped));
+  const double gain = update(after, likelihood);
+  return {std::move(after), gain};
 }
 
-double Filter::update(Belief &belief, const Likelihood &likelihood) const {
-  const Size count = belief.rows.count, others = drives_.rows - count;
-  const auto states = static_cast<Size>(ways_.size()) * SPEEDS;
-  const float *emission = likelihood.rows.data();
-  const auto total_of = [&](const Belief &now) {
-    double total = now.elsewhere * likelihood.elsewhere + now.unmapped;
-    for (Size state = 0; state < states; ++state)
-      total += dot(now.mapped.data() + state * count, emission, count);
-    return total;
-  };
-  double total = total_of(belief);
-  if (total < LEAST_TOTAL) total = total_of(belief = start(belief.rows));
-  if (total < LEAST_TOTAL) return 0;
-  for (Size state = 0; state < states; ++state)
-    multiply(belief.mapped.data() + state * count, emission, static_cast<float>(1 / total), count);
-  belief.elsewhere *= likelihood.elsewhere;
-  belief.elsewhere /= total;
+// Multiplies a belief by likelihoods, but for what is elsewhere: the sum of all.
+double Filter::weigh(Belief &belief, const Likelihood &likelihood) const {
+  const Size count = belief.rows.count;
+  double mapped = 0;
+  for (std::size_t state = 0; state < ways_.size() * SPEEDS; ++state)
+    mapped += multiply(belief.mapped.data() + static_cast<Size>(state) * count, likelihood.rows.data(), count);
+  return belief.unit * mapped + belief.elsewhere * likelihood.elsewhere + belief.unmapped;
+}
+
+// Makes probabilities of a belief that was weighed, by the sum of all: the logarithm of how much likelier the
+// frame is so than alone.
+double Filter::take(double total, Belief &belief, const Likelihood &likelihood) const {
+  belief.unit /= total;
+  belief.elsewhere *= likelihood.elsewhere / total;
   belief.unmapped /= total;
-  const double mean = (sum(emission, count) + static_cast<double>(others) * likelihood.elsewhere) /
+  const Size count = belief.rows.count, others = drives_.rows - count;
+  const double mean = (sum(likelihood.rows.data(), count) + static_cast<double>(others) * likelihood.elsewhere) /
                       static_cast<double>(std::max<Size>(1, drives_.rows));
   const double unmapped = unmapped_at_start();
   return log_of(total / ((1 - unmapped) * mean + unmapped));
 }
 
-Future Filter::none(const Belief &belief) const {
-  return {std::vector<float>(belief.mapped.size(), 1.0F), 1, 1};
+double Filter::update(Belief &belief, const Likelihood &likelihood) const {
+  const auto anew = [&] { belief = start(Rows(belief.rows), std::move(belief.mapped)); };
+  double total = weigh(belief, likelihood);
+  if (total < LEAST_TOTAL) anew(), total = weigh(belief, likelihood);
+  if (total >= LEAST_TOTAL) return take(total, belief, likelihood);
+  anew();
+  return 0;
 }
 
-// The future of a piece of neighbouring rows, by that of the later rows.
-void Filter::transition_back(const Run &piece, std::size_t way, const Future &future, const Rows &later,
-                        const Likelihood &likelihood, double lost, Future &earlier,
-                        Size here) const {
-  const Size size = piece.last - piece.first, there = later.count;
-  const float elsewhere = static_cast<float>(future.elsewhere * likelihood.elsewhere);
-  const double stays = 1 - motion_.jump;
-  std::vector<float> padded, reached(static_cast<std::size_t>(SPEEDS * size)),
-      all(static_cast<std::size_t>(size));
-  for (int speed = 0; speed < SPEEDS; ++speed) {
-    const Steps::Speed &steps = steps_.of[speed];
-    const bool onwards = ways_[way] == FORWARDS;
-    const Size width = steps.count(), first = piece.first + (onwards ? steps.first : -steps.last());
-    const float *from = future.mapped.data() + (static_cast<Size>(way) * SPEEDS + speed) * there;
-    padded.resize(static_cast<std::size_t>(size + width - 1));
-    visit(
-        first, first + size + width - 1, piece.drive, later, drives_,
-        [&](Size row, Size place, Size count) {
-          const float *emission = likelihood.rows.data() + place;
-          for (Size i = 0; i < count; ++i) padded[row - first + i] = from[place + i] * emission[i];
-        },
-        [&](Size row, Size count) { std::fill_n(padded.begin() + row - first, count, elsewhere); },
-        [&](Size row, Size count) {
-          std::fill_n(padded.begin() + row - first, count, static_cast<float>(lost));
-        });
-    slide(reached.data() + speed * size, padded.data(), size,
-          (onwards ? steps.chances : steps.reversed).data(), width);
-    add(all.data(), reached.data() + speed * size,
-        static_cast<float>(stays * motion_.change * PRIOR[speed]), size);
-  }
-  raise(all.data(), static_cast<float>(motion_.jump * lost), size);
-  for (int speed = 0; speed < SPEEDS; ++speed)
-    mixed(earlier.mapped.data() + (static_cast<Size>(way) * SPEEDS + speed) * here + piece.at,
-          reached.data() + speed * size, static_cast<float>(stays * (1 - motion_.change)),
-          all.data(), 1, size);
+Future Filter::last(const Belief &belief, const Likelihood &likelihood) const {
+  Future future{{}, likelihood.elsewhere};
+  for (std::size_t state = 0; state < ways_.size() * SPEEDS; ++state)
+    future.mapped.insert(future.mapped.end(), likelihood.rows.begin(), likelihood.rows.begin() + belief.rows.count);
+  const double mapped = sum(likelihood.rows.data(), belief.rows.count) * static_cast<double>(ways_.size());
+  future.any_row = any_row(mapped, likelihood.elsewhere, belief.rows);
+  return future;
 }
 
-Future Filter::before(const Belief &belief, const Rows &later, const Likelihood &likelihood,
-                      const Future &future, std::vector<float> memory) const {
+std::pair<Future, Smoothed> Filter::before(const Belief &belief, const Likelihood &likelihood, const Rows &later,
+                                           const Future &future, Floats memory) const {
   const Size here = belief.rows.count, there = later.count;
   const auto ways = static_cast<Size>(ways_.size());
-  const float *emission = likelihood.rows.data();
-  double any_row = 0;
-  for (Size state = 0; state < ways * SPEEDS; ++state)
-    any_row += PRIOR[static_cast<std::size_t>(state % SPEEDS)] *
-               dot(future.mapped.data() + state * there, emission, there);
-  const double elsewhere = future.elsewhere * likelihood.elsewhere;
-  any_row += static_cast<double>((drives_.rows - there) * ways) * elsewhere;
-  any_row /= static_cast<double>(places());
-  const double lost = (1 - motion_.unmapped) * any_row + motion_.unmapped * future.unmapped;
-  memory.assign(static_cast<std::size_t>(ways * SPEEDS * here), 0);
-  Future earlier{std::move(memory), 0, 0};
-  earlier.unmapped = motion_.stay * future.unmapped + (1 - motion_.stay) * any_row;
-  in_pieces(belief.rows, [&](const Run &piece) {
-    for (std::size_t way = 0; way < ways_.size(); ++way)
-      transition_back(piece, way, future, later, likelihood, lost, earlier, here);
-  });
+  const double stays = 1 - motion_.jump;
+  const double lost = (1 - motion_.unmapped) * future.any_row + motion_.unmapped * future.unmapped;
   Size fresh = 0;
   double at_fresh = 0;
   visit_others(later, belief.rows, drives_, [&](Size place, Size count) {
     fresh += count;
     for (Size state = 0; state < ways * SPEEDS; ++state)
-      at_fresh += PRIOR[static_cast<std::size_t>(state % SPEEDS)] *
-                  dot(future.mapped.data() + state * there + place, emission + place, count);
+      at_fresh += PRIOR[static_cast<std::size_t>(state % SPEEDS)] * future.unit *
+                  sum(future.mapped.data() + state * there + place, count);
   });
   const double part =
       static_cast<double>(fresh) / static_cast<double>(std::max<Size>(1, drives_.rows - here));
   const double come = fresh ? part * at_fresh / static_cast<double>(fresh * ways) : 0;
-  earlier.elsewhere = (1 - motion_.jump) * (come + (1 - part) * elsewhere) + motion_.jump * lost;
-  const auto count = static_cast<Size>(earlier.mapped.size());
-  const double most = highest(earlier.mapped.data(), count);
-  const double high = std::max({earlier.unmapped, earlier.elsewhere, most});
-  if (high < LEAST_TOTAL) return none(belief);
+  const double elsewhere = stays * (come + (1 - part) * future.elsewhere) + motion_.jump * lost;
+  Future earlier{std::move(memory), elsewhere * likelihood.elsewhere,
+                 motion_.stay * future.unmapped + (1 - motion_.stay) * future.any_row};
+  earlier.mapped.resize(static_cast<std::size_t>(ways * SPEEDS * here));
+  Smoothed smoothed{Floats(static_cast<std::size_t>(here), 0.0F), belief.unmapped * earlier.unmapped};
+  double mapped = 0, other_ways = 0;
+  Window window;
+  for (Size way = 0; way < ways; ++way)
+    for (const Run &run : belief.rows.runs)
+      in_pieces(run, [&](const Run &from) {
+        const Size size = from.last - from.first;
+        depart(future, way, later, lost, drives_, ways_[static_cast<std::size_t>(way)], motion_, from, window);
+        for (int speed = 0; speed < SPEEDS; ++speed) {
+          const Size place = (way * SPEEDS + speed) * here + from.at;
+          float *found = earlier.mapped.data() + place;
+          const float *now = belief.mapped.data() + place;
+          mix(found, window.of(speed, size), static_cast<float>(stays * (1 - motion_.change) * future.unit),
+              window.all.data(), 1, size);
+          if (way)
+            other_ways += dot(now, found, size);
+          else
+            add_product(smoothed.rows.data() + from.at, now, found, size);
+          mapped += PRIOR[speed] * multiply(found, likelihood.rows.data() + from.at, size);
+        }
+      });
+  const double total = belief.unit * (sum(smoothed.rows.data(), here) + other_ways) + belief.elsewhere * elsewhere +
+                       smoothed.unmapped;
+  if (total < LEAST_TOTAL) {
+    smoothed = {belief.of_rows(), belief.unmapped};
+  } else {
+    scale(smoothed.rows.data(), static_cast<float>(belief.unit / total), here);
+    smoothed.unmapped /= total;
+  }
+  earlier.any_row = any_row(mapped, earlier.elsewhere, belief.rows);
+  const double high = std::max({earlier.unmapped, earlier.elsewhere, mapped});
+  if (high < LEAST_TOTAL) return {last(belief, likelihood), std::move(smoothed)};
   if (high > HIGH || high < 1 / HIGH) {
-    scale(earlier.mapped.data(), static_cast<float>(1 / high), count);
-    earlier.elsewhere /= high;
-    earlier.unmapped /= high;
+    earlier.unit = 1 / high;
+    for (double *value : {&earlier.elsewhere, &earlier.unmapped, &earlier.any_row}) *value /= high;
   }
-  return earlier;
-}
-
-std::pair<std::vector<float>, double> Filter::smoothed(const Belief &belief,
-                                                       const Future &future) const {
-  const Size count = belief.rows.count;
-  const auto states = static_cast<Size>(ways_.size()) * SPEEDS;
-  std::vector<float> rows(static_cast<std::size_t>(count));
-  const double unmapped = belief.unmapped * future.unmapped;
-  double total = belief.elsewhere * future.elsewhere + unmapped;
-  for (Size state = 0; state < states; ++state) {
-    const float *now = belief.mapped.data() + state * count,
-                *then = future.mapped.data() + state * count;
-    if (state < SPEEDS)
-      add_product(rows.data(), now, then, count);
-    else
-      total += dot(now, then, count);
-  }
-  total += sum(rows.data(), count);
-  if (total < LEAST_TOTAL) return smoothed(belief, none(belief));
-  scale(rows.data(), static_cast<float>(1 / total), count);
-  return {rows, unmapped / total};
+  return {std::move(earlier), std::move(smoothed)};
 }
 
 }  // namespace places

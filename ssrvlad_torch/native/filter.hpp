@@ -18,9 +18,9 @@
 namespace places {
 
 constexpr int SPEEDS = 7;
+constexpr double MOST_RATE = 3;  // of courses
 constexpr std::array<double, SPEEDS> PRIOR = {0.08, 0.16, 0.34, 0.16, 0.14, 0.07, 0.05};
 constexpr int FORWARDS = 1, BACKWARDS = -1;  // ways to run a map
-constexpr double MOST_RATE = 100;
 
 // How a drive moves, and how much one frame counts; recognition/recognise.py explains the settings.
 struct Motion {
@@ -30,8 +30,8 @@ struct Motion {
   Motion at(double rate) const;
 };
 
-// The probabilities of neighbouring steps in rows at each speed, from the first step on, in this order
-// and in the other.
+// The probabilities of neighbouring steps in rows of one way at each speed, from the first step on, and from the
+// last one back.
 struct Steps {
   struct Speed {
     Size first;
@@ -41,8 +41,9 @@ struct Steps {
     Size last() const { return first + count() - 1; }
   };
   std::array<Speed, SPEEDS> of;
+  Size first = 0, last = 0;  // of all speeds
 
-  explicit Steps(double rate);
+  Steps(double rate, int way);
 };
 
 // Neighbouring rows of one drive of the map; `at` is the place of the first in a list of rows.
@@ -115,27 +116,35 @@ void visit(Size first, Size last, Size drive, const Rows &list, const Drives &dr
   if (end < last) outside(end, last - end);
 }
 
-// The belief after a frame, by way, speed and listed row.
+// The belief after a frame, by way, speed and listed row; those of rows in a unit, so that no pass over them
+// is for their sum alone.
 struct Belief {
   Rows rows;
-  std::vector<float> mapped;
-  double elsewhere = 0, unmapped = 1;
+  Floats mapped;
+  double elsewhere = 0, unmapped = 1, unit = 1;
 
   // Probabilities of the listed rows in the first way, `count` numbers; in memory that was used before.
-  std::vector<float> of_rows(std::vector<float> memory = {}) const;
+  Floats of_rows(Floats memory = {}) const;
 };
 
 // How likely a frame is at each listed row, and on average at the others, as against a place that the
 // map lacks.
 struct Likelihood {
-  std::vector<float> rows;
+  Floats rows;
   double elsewhere = 0;
 };
 
-// How likely the later frames are from each state of a belief; not normalised.
+// How likely a frame and the later ones are from each state of its belief, and from a row by chance; those of
+// rows in a unit. Not normalised.
 struct Future {
-  std::vector<float> mapped;
-  double elsewhere = 1, unmapped = 1;
+  Floats mapped;
+  double elsewhere = 1, unmapped = 1, any_row = 1, unit = 1;
+};
+
+// Probabilities of the listed rows in the first way, and of a place that the map lacks, by all frames.
+struct Smoothed {
+  Floats rows;
+  double unmapped;
 };
 
 // How much likelier a frame is at rows than at a place that the map lacks, by their nearness, the spread of that of
@@ -145,7 +154,7 @@ void likelihoods(const float *near, Size count, double weight, double level, con
 class Filter {
  public:
   // The drives may grow, and must outlive the filter. Ways: one or both of FORWARDS and BACKWARDS.
-  Filter(const Drives &drives, const Motion &motion, std::vector<int> ways);
+  Filter(const Drives &drives, const Motion &motion, const std::vector<int> &ways);
 
   const Drives &drives() const { return drives_; }
   const Motion &motion() const { return motion_; }
@@ -153,36 +162,37 @@ class Filter {
   std::pair<Size, Size> reach() const;
 
   // The belief in listed rows before the first frame of a drive.
-  Belief start(const Rows &rows, std::vector<float> memory = {}) const;
+  Belief start(const Rows &rows, Floats memory = {}) const;
   // The belief with more rows listed, of which nothing is believed.
-  Belief extended(const Belief &belief, const Rows &rows, std::vector<float> memory = {}) const;
-  // The belief in listed rows one frame later, before that frame is seen.
-  Belief predicted(const Belief &before, const Rows &rows, std::vector<float> memory = {}) const;
+  Belief extended(const Belief &belief, const Rows &rows, Floats memory = {}) const;
   // Takes a frame into a belief: the logarithm of how much likelier the frame is so than alone. After a
   // frame that can be nowhere by the belief, this starts anew, with the frame if it can be anywhere.
   double update(Belief &belief, const Likelihood &likelihood) const;
+  // The belief in listed rows one frame later, and that of `update`.
+  std::pair<Belief, double> after(const Belief &before, const Rows &rows, const Likelihood &likelihood,
+                                  Floats memory = {}) const;
 
-  // The future from the last belief.
-  Future none(const Belief &belief) const;
-  // The future from a belief, by the later rows, the likelihood of the later frame and its future; `none`
-  // if the belief cannot lead there.
-  Future before(const Belief &belief, const Rows &later, const Likelihood &likelihood,
-                const Future &future, std::vector<float> memory = {}) const;
-  // Probabilities of the listed rows in the first way, and of a place that the map lacks, by a belief
-  // and its future.
-  std::pair<std::vector<float>, double> smoothed(const Belief &belief, const Future &future) const;
+  // The future from the last belief, and from an earlier one by the later rows and their future; `last` if the
+  // belief cannot lead there.
+  Future last(const Belief &belief, const Likelihood &likelihood) const;
+  std::pair<Future, Smoothed> before(const Belief &belief, const Likelihood &likelihood, const Rows &later,
+                                     const Future &future, Floats memory = {}) const;
 
  private:
-  double transition(const Belief &before, Belief &after, double &lost) const;
-  void transition_back(const Run &piece, std::size_t way, const Future &future, const Rows &later,
-                  const Likelihood &likelihood, double lost, Future &earlier, Size here) const;
+  struct Passing {
+    double unlisted = 0, outside = 0;
+  };
+
+  Passing passing(const Belief &before, const Rows &rows) const;
+  double weigh(Belief &belief, const Likelihood &likelihood) const;
+  double take(double total, Belief &belief, const Likelihood &likelihood) const;
+  double any_row(double mapped, double elsewhere, const Rows &rows) const;
   Size places() const;  // the number of rows, in all ways; of an empty map as of one row
   double unmapped_at_start() const;
 
   const Drives &drives_;
   Motion motion_;
-  Steps steps_;
-  std::vector<int> ways_;
+  std::vector<Steps> ways_;
 };
 
 }  // namespace places

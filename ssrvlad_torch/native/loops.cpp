@@ -273,8 +273,8 @@ class Stream {
     repeats_.reserve(frames);
     tracks_.reserve(frames);
     OfRows &all = of_rows_;
-    for (auto *numbers : {&all.scores, &all.fused, &all.near, &all.usual, &all.same, &all.left, &all.likelihood.rows, &probable_})
-      numbers->reserve(frames);
+    for (auto *numbers : {&all.scores, &all.fused, &all.near, &all.usual, &all.same}) numbers->reserve(frames);
+    for (auto *numbers : {&all.left, &all.likelihood.rows, &probable_}) numbers->reserve(frames);
     for (auto *by_channel : {&all.of_channels, &all.rough})
       for (auto &numbers : *by_channel) numbers.reserve(frames);
     for (auto *states : {&all.belief, &belief_.mapped}) states->reserve(2 * SPEEDS * frames);
@@ -473,7 +473,8 @@ class Stream {
   // the higher, the more alike neighbouring frames are and the more their street repeats.
   void compute_likelihood(const Spread &spread) {
     const std::vector<float> &near = of_rows_.near;
-    std::vector<float> &likely = of_rows_.likelihood.rows, &same = of_rows_.same;
+    Floats &likely = of_rows_.likelihood.rows;
+    std::vector<float> &same = of_rows_.same;
     likely.assign(near.size(), 1.0F);
     if (spread.deviation <= MIN_SPREAD) return;
     const Size start = starts_.back(), count = rows() - start, candidates = std::max<Size>(0, count - exclude_);
@@ -508,20 +509,21 @@ class Stream {
   }
 
   void filter() {
-    of_rows_.likelihood.rows.resize(drives_.rows);
-    std::vector<float> &memory = of_rows_.belief;
+    of_rows_.likelihood.rows.resize(drives_.rows, 0.0F);
+    Floats &memory = of_rows_.belief;
     const Rows rows = drives_.all();
+    const Likelihood &likelihood = of_rows_.likelihood;
     Belief next = starting_ ? filter_.extended(belief_, rows, std::move(memory))
-                            : filter_.predicted(belief_, rows, std::move(memory));
+                            : filter_.after(belief_, rows, likelihood, std::move(memory)).first;
     memory = std::move(belief_.mapped);
     belief_ = std::move(next);
-    filter_.update(belief_, of_rows_.likelihood);
+    if (starting_) filter_.update(belief_, likelihood);
     probable_ = belief_.of_rows(std::move(probable_));
     starting_ = false;
   }
 
   ssrvlad_loop result(const std::vector<float> &scored) {
-    std::vector<float> &rows = of_rows_.left;
+    Floats &rows = of_rows_.left;
     rows = probable_;
     Size candidate = -1;
     for (Size row = 0; row < old_; ++row)
@@ -575,7 +577,7 @@ class Stream {
   Drives drives_;
   Filter filter_;
   Belief belief_;
-  std::vector<float> probable_;  // how probable rows are by it
+  Floats probable_;              // how probable rows are by it
   bool starting_ = true;
   std::deque<double> neighbours_, fits_;
   Repeats repeats_;
@@ -584,7 +586,8 @@ class Stream {
 
   // Of the last frame, kept for their memory.
   struct OfRows {
-    std::vector<float> scores, fused, near, usual, rough_usual, same, left, belief;
+    std::vector<float> scores, fused, near, usual, rough_usual, same;
+    Floats left, belief;
     std::vector<std::vector<float>> of_channels, rough;  // nearness by channel, empty if it is not rough
     std::vector<double> z;
     Chosen chosen;

@@ -6,14 +6,29 @@ namespace places {
 
 namespace {
 // The sum of a term of each number, in lanes that a processor takes at once.
-template <typename Term>
-SSRVLAD_INLINE double summed(Size count, Term term) {
-  double lanes[LANES] = {};
+template <typename Number = double, typename Term>
+SSRVLAD_INLINE Number summed(Size count, Term term) {
+  Number lanes[LANES] = {};
   Size i = 0;
   for (; i + LANES <= count; i += LANES)
     for (Size lane = 0; lane < LANES; ++lane) lanes[lane] += term(i + lane);
   for (Size lane = 0; i < count; ++i, ++lane) lanes[lane] += term(i);
   return folded(lanes);
+}
+// A float as an integer of the same order, and back: of these compilers make vectors of a search for the highest.
+SSRVLAD_INLINE std::int32_t ordered(std::int32_t bits) { return bits ^ ((bits >> 31) & 0x7fffffff); }
+
+SSRVLAD_INLINE std::int32_t ordered(float value) {
+  std::int32_t bits;
+  std::memcpy(&bits, &value, sizeof bits);
+  return ordered(bits);
+}
+
+float of_ordered(std::int32_t number) {
+  const std::int32_t bits = ordered(number);
+  float value;
+  std::memcpy(&value, &bits, sizeof value);
+  return value;
 }
 }  // namespace
 
@@ -23,10 +38,25 @@ double sum(const float *values, Size count) {
   });
 }
 
+double quick_sum(const float *values, Size count) {
+  constexpr Size BLOCK = 512;
+  return on_cpu([=](auto) {
+    double total = 0;
+    for (Size first = 0; first < count; first += BLOCK)
+      total += static_cast<double>(
+          summed<float>(std::min(BLOCK, count - first), [=](Size i) { return values[first + i]; }));
+    return total;
+  });
+}
+
 double dot(const float *values, const float *others, Size count) {
   return on_cpu([=](auto) {
     return summed(count, [=](Size i) { return static_cast<double>(values[i]) * static_cast<double>(others[i]); });
   });
+}
+
+double dot(const double *values, const double *others, Size count) {
+  return on_cpu([=](auto) { return summed(count, [=](Size i) { return values[i] * others[i]; }); });
 }
 
 void add(float *target, const float *values, float factor, Size count) {
@@ -41,8 +71,25 @@ void raise(float *target, float value, Size count) {
   on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] += value; });
 }
 
-void multiply(float *target, const float *values, float factor, Size count) {
-  on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] *= values[i] * factor; });
+double multiply(float *target, const float *values, Size count) {
+  on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] *= values[i]; });
+  return quick_sum(target, count);
+}
+
+double weighed(float *target, const float *values, const float *others, float factor, const float *weights, Size count) {
+  on_cpu([=](auto) {
+    for (Size i = 0; i < count; ++i) target[i] = (values[i] + factor * others[i]) * weights[i];
+  });
+  return quick_sum(target, count);
+}
+
+void scored(float *target, const float *values, float least, const float *scores, Size count) {
+  on_cpu([=](auto) {
+    for (Size i = 0; i < count; ++i) {
+      const float none = scores[i] == NONE ? NONE : 0;  // added: a choice would be a branch
+      target[i] = (values[i] > least ? values[i] : least) + none;
+    }
+  });
 }
 
 void scale(float *target, float factor, Size count) {
@@ -50,16 +97,11 @@ void scale(float *target, float factor, Size count) {
 }
 
 float highest(const float *values, Size count) {
-  return on_cpu([=](auto) {
-    float lanes[LANES];
-    std::fill_n(lanes, LANES, NONE);
-    Size i = 0;
-    for (; i + LANES <= count; i += LANES)
-      for (Size lane = 0; lane < LANES; ++lane)
-        lanes[lane] = values[i + lane] > lanes[lane] ? values[i + lane] : lanes[lane];
-    for (; i < count; ++i) lanes[0] = std::max(lanes[0], values[i]);
-    return *std::max_element(lanes, lanes + LANES);
-  });
+  return of_ordered(on_cpu([=](auto) {
+    std::int32_t high = ordered(NONE);
+    for (Size i = 0; i < count; ++i) high = std::max(high, ordered(values[i]));
+    return high;
+  }));
 }
 
 // Values that are not finite make the sum NaN.
@@ -72,32 +114,37 @@ void nearness(const float *scores, Size count, float *near, Limits limits) {
     for (Size i = 0; i < count; ++i) {
       const double far = 1 - static_cast<double>(scores[i]);
       const double none = scores[i] == NONE ? limits.none : 0;  // added: a choice would be a branch
-      near[i] = static_cast<float>(none - log_of(far > limits.least ? far : limits.least));
+      near[i] = static_cast<float>(none - log_of<13>(far > limits.least ? far : limits.least));
     }
   });
 }
 
 Spread Spread::of(const float *near, Size count) {
+  if (std::find(near, near + count, NONE) != near + count) {
+    Floats others(static_cast<std::size_t>(count));
+    const auto end = std::remove_copy(near, near + count, others.begin(), NONE);
+    return of(others.data(), end - others.begin());
+  }
+  if (count == 0) return {};
   return on_cpu([=](auto) -> Spread {
-    const auto total = [=](auto term) {
-      return summed(count, [=](Size i) { return near[i] == NONE ? 0.0 : term(static_cast<double>(near[i])); });
-    };
-    const double number = total([](double) { return 1.0; });
-    if (number == 0) return {};
-    float low = -NONE;
-    for (Size i = 0; i < count; ++i) low = near[i] != NONE && near[i] < low ? near[i] : low;
-    if (highest(near, count) - low <= MIN_SPREAD) return {static_cast<double>(low), MIN_SPREAD};
-    const double mean = total([](double value) { return value; }) / number;
-    const double squares = total([=](double value) { return (value - mean) * (value - mean); });
+    std::int32_t low = ordered(-NONE), high = ordered(NONE);
+    for (Size i = 0; i < count; ++i) low = std::min(low, ordered(near[i])), high = std::max(high, ordered(near[i]));
+    if (of_ordered(high) - of_ordered(low) <= MIN_SPREAD) return {static_cast<double>(of_ordered(low)), MIN_SPREAD};
+    const auto number = static_cast<double>(count);
+    const double mean = summed(count, [=](Size i) { return static_cast<double>(near[i]); }) / number;
+    const double squares = summed(count, [=](Size i) {
+      const double away = static_cast<double>(near[i]) - mean;
+      return away * away;
+    });
     return {mean, std::max(MIN_SPREAD, std::sqrt(squares / number))};
   });
 }
 
 void deviations(const float *near, Size count, const Spread &spread, float *z) {
-  const double mean = spread.mean, deviation = spread.deviation;
+  const double mean = spread.mean, factor = 1 / spread.deviation;
   on_cpu([=](auto) {
     for (Size i = 0; i < count; ++i)
-      z[i] = near[i] == NONE ? 0.0F : static_cast<float>((static_cast<double>(near[i]) - mean) / deviation);
+      z[i] = near[i] == NONE ? 0.0F : static_cast<float>((static_cast<double>(near[i]) - mean) * factor);
   });
 }
 

@@ -10,6 +10,7 @@
 #include <cstring>
 #include <deque>
 #include <limits>
+#include <memory>
 #include <vector>
 
 #include "cpu.hpp"
@@ -36,30 +37,49 @@ SSRVLAD_INLINE double of_bits(std::uint64_t bits) {
   return value;
 }
 
-// The logarithm of a positive normal number. Like `exp_of` it takes only steps of which compilers
-// make vectors.
+// The logarithm of a positive normal number, by a series of odd powers: to 13 it is exact in single precision. Like
+// `exp_of` it takes only steps of which compilers make vectors.
+template <int ODD = 23>
 SSRVLAD_INLINE double log_of(double value) {
   constexpr std::uint64_t ROOT = 0x3fe6a09e667f3bcd;  // sqrt(1/2): mantissas from it to sqrt(2)
   const std::uint64_t bits = bits_of(value), power = (bits - ROOT + (1024ULL << 52)) >> 52;
   const double exponent = of_bits(power | 0x4330000000000000) - (4503599627370496.0 + 1024);
   const double mantissa = of_bits(bits - (power << 52) + (1024ULL << 52));
   const double s = (mantissa - 1) / (mantissa + 1), q = s * s;
-  double series = 1.0 / 23;
-  for (int odd = 21; odd > 0; odd -= 2) series = series * q + 1.0 / odd;
+  double series = 1.0 / ODD;
+  for (int odd = ODD - 2; odd > 0; odd -= 2) series = series * q + 1.0 / odd;
   return exponent * 0.693147180369123816490 +
          (2 * s * series + exponent * 1.90821492927058770002e-10);
 }
 
-// The exponential of a number of at most 700; 0 below -700, and for -inf.
+// The exponential of a number of at most 700; 0 below -700, and for -inf. Ten terms are exact in single precision.
+template <int TERMS = 14>
 SSRVLAD_INLINE double exp_of(double value) {
   const double shifted = value * 1.44269504088896340736 + 6755399441055744.0;  // to a whole number
   const double whole = shifted - 6755399441055744.0;
   const double r = (value - whole * 0.693147180369123816490) - whole * 1.90821492927058770002e-10;
   double series = 1;
-  for (int term = 14; term > 0; --term) series = series * (r * (1.0 / term)) + 1;
+  for (int term = TERMS; term > 0; --term) series = series * (r * (1.0 / term)) + 1;
   const double found = series * of_bits((bits_of(shifted) + 1023) << 52);
   return of_bits(bits_of(found) & ((bits_of(value + 700) >> 63) - 1));
 }
+
+// Memory that is not set before it is written.
+template <typename Number>
+struct Unset : std::allocator<Number> {
+  template <typename Other>
+  struct rebind {
+    using other = Unset<Other>;
+  };
+  template <typename Other, typename... Values>
+  void construct(Other *number, Values &&...values) {
+    if constexpr (sizeof...(Values) == 0)
+      ::new (static_cast<void *>(number)) Other;
+    else
+      ::new (static_cast<void *>(number)) Other(std::forward<Values>(values)...);
+  }
+};
+using Floats = std::vector<float, Unset<float>>;
 
 constexpr Size LANES = 16;  // numbers that are taken at once; a processor of fewer makes several of them
 
@@ -96,17 +116,23 @@ double median(std::vector<Number> values) {
   return (static_cast<double>(*std::max_element(values.begin(), middle)) + upper) / 2;
 }
 
-// Sums in a fixed order, in double precision.
+// Sums in a fixed order, in double precision; the quick one adds some hundred values in single precision first.
 double sum(const float *values, Size count);
+double quick_sum(const float *values, Size count);
 double dot(const float *values, const float *others, Size count);
+double dot(const double *values, const double *others, Size count);
 
-// Adds to a target values times a factor; products; one value. Multiplies a target by values times a
-// factor; by a factor.
+// Adds to a target values times a factor; products; one value. Multiplies a target by values, and returns its sum
+// as of `quick_sum`; by a factor.
 void add(float *target, const float *values, float factor, Size count);
 void add_product(float *target, const float *values, const float *others, Size count);
 void raise(float *target, float value, Size count);
-void multiply(float *target, const float *values, float factor, Size count);
+double multiply(float *target, const float *values, Size count);
 void scale(float *target, float factor, Size count);
+// Makes a target of values, and of others times a factor, that are multiplied by weights, and returns its sum; of
+// values, at least so high, NONE where there is no score.
+double weighed(float *target, const float *values, const float *others, float factor, const float *weights, Size count);
+void scored(float *target, const float *values, float least, const float *scores, Size count);
 
 // The highest of values; NONE without values.
 float highest(const float *values, Size count);

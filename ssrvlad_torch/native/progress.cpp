@@ -46,8 +46,7 @@ void Likeness::add(const std::vector<float> &scores) {
   const std::vector<double> seen = profile(scores);
   each_.emplace_back();
   for (std::size_t back = 0; back < recent_.size(); ++back)
-    for (std::size_t row = 0; row < seen.size(); ++row)
-      each_.back()[back] += seen[row] * recent_[back][row];
+    each_.back()[back] = dot(seen.data(), recent_[back].data(), static_cast<Size>(seen.size()));
   recent_.push_front(seen);
   if (recent_.size() > each_.back().size()) recent_.pop_back();
 }

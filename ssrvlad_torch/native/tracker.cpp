@@ -8,7 +8,7 @@
 namespace places {
 
 namespace {
-constexpr Size STATE = 3;  // what a state holds, and how; it rises with every change
+constexpr Size STATE = 4;  // what a state holds, and how; it rises with every change
 constexpr double NO_ANSWER = std::numeric_limits<double>::quiet_NaN();
 
 bool same(const Course &one, const Course &other) {
@@ -132,11 +132,15 @@ Places Tracker::place_of(Size query) {
   std::deque<Place> &stream = course_->stream(query);
   const Filter &filter = course_->filter;
   const auto here = std::find_if(stream.begin(), stream.end(), [&](const Place &place) { return place.query == query; });
-  Future future = filter.none(*stream.back().seen.belief);
-  for (auto later = std::prev(stream.end()); later != here; --later)
-    future = filter.before(*std::prev(later)->seen.belief, later->seen.sight->rows, *later->seen.likelihood, future);
+  const Seen &newest = stream.back().seen;
+  Future future = filter.last(*newest.belief, *newest.likelihood);
+  Smoothed beliefs{newest.belief->of_rows(), newest.belief->unmapped};
+  for (auto later = std::prev(stream.end()); later != here; --later) {
+    const Seen &seen = std::prev(later)->seen;
+    std::tie(future, beliefs) = filter.before(*seen.belief, *seen.likelihood, later->seen.sight->rows, future);
+  }
   Places places(1, top_);
-  place(filter, *here->seen.sight, filter.smoothed(*here->seen.belief, future), 0, places);
+  place(filter, *here->seen.sight, beliefs, 0, places);
   here->row = places.rows.front();
   return places;
 }
