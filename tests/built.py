@@ -33,7 +33,7 @@ WEB = ROOT / "export" / "web"
 STRICT = {
     **os.environ,
     "CXXFLAGS": "-Wall -Wextra -Werror",
-    "CMAKE_BUILD_TYPE": "Debug",
+    "CMAKE_BUILD_TYPE": "Plain",  # neither optimised nor with symbols: compiled soonest
     "CMAKE_BUILD_PARALLEL_LEVEL": "2",
 }
 
@@ -82,7 +82,7 @@ def _build_programs(checkout):
     folder.mkdir()
     for file in (ROOT / "export").iterdir():
         (folder / file.name).symlink_to(file)
-    code, _, errors = outcome("cmake", "-S", "cpp", "-B", "try", cwd=folder)
+    code, _, errors = outcome("cmake", "-S", "cpp", "-B", "build", cwd=folder, env=STRICT)
     if code:
         assert "ORT_ROOT" not in os.environ, errors
         assert any(name in line for name in ("onnxruntime", "ZLIB") for line in errors), errors
