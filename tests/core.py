@@ -21,7 +21,7 @@ def library():
         built = Path(folder, "judging.so")
         names = "confidence.cpp", "filter.cpp", "numbers.cpp"
         sources = [Path(__file__).with_name("judging.cpp"), *(FOLDER / name for name in names)]
-        flags = ["-std=c++17", "-O2", "-ffp-contract=off", "-shared", "-fPIC", f"-I{FOLDER}"]
+        flags = ["-std=c++17", "-O1", "-ffp-contract=off", "-shared", "-fPIC", f"-I{FOLDER}"]
         subprocess.run(["g++", *flags, *sources, "-o", built], check=True)
         functions = ctypes.CDLL(str(built))
     functions.chance.restype = ctypes.c_double
