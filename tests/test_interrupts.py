@@ -23,8 +23,8 @@ ADD, INDEX = ["map.py", "database", "encoding/plan.py"], ["search"]
 VECTORS = views([*range(40), *range(10, 40)])
 
 
-steps = pytest.mark.parametrize("step", [6, pytest.param(1, marks=pytest.mark.slow)])
-"""At every sixth line and the last ten; the slow tests interrupt at every one."""
+steps = pytest.mark.parametrize("step", [12, pytest.param(1, marks=pytest.mark.slow)])
+"""At every twelfth line and the last ten; the slow tests interrupt at every one."""
 
 
 def numbers(lines, step):
@@ -114,7 +114,7 @@ def places(answers):
     ("files", "stored"), [(ADD, 0), pytest.param(INDEX, 2, marks=pytest.mark.slow)]
 )
 def test_after_an_interrupted_add_the_map_goes_on(tmp_path, files, stored):
-    """At every sixth line of a new one, or of one of two frames with an index: it has what is
+    """At every twelfth line of a new one, or of one of two frames with an index: it has what is
     stored, and the next `add` adds what is missing."""
     maps = write_maps(tmp_path / "monday", range(3))
     right = Map.open(tmp_path / "right", labels_as="camvid-11")
@@ -133,7 +133,7 @@ def test_after_an_interrupted_add_the_map_goes_on(tmp_path, files, stored):
 
     lines, sizes = Lines(files), set()
     lines.run(lambda: add(town_of("first"), maps))
-    for at in range(1, lines.count + 1, 6):
+    for at in range(1, lines.count + 1, 12):
         town = town_of(str(at))
         if not Lines(files, at).run(partial(add, town, maps)):
             break  # of the first run, lines of imports are left
@@ -143,7 +143,7 @@ def test_after_an_interrupted_add_the_map_goes_on(tmp_path, files, stored):
         frames = town.database.load()
         assert frames.frames == expected.frames
         assert torch.equal(frames.descriptors, expected.descriptors)
-        if at % 30 == 1:
+        if at % 36 == 1:
             assert places(town.query(maps)) == answers
         shutil.rmtree(town.path)
     assert 3 in sizes and (stored or 0 in sizes)

@@ -92,7 +92,7 @@ def test_a_tracker_goes_on_from_a_file_with_the_names_that_wait(drawn, tmp_path)
         )
 
 
-@pytest.mark.parametrize("step", [4, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("step", [12, pytest.param(1, marks=pytest.mark.slow)])
 def test_after_an_interrupted_update_later_answers_have_their_names(drawn, tmp_path, step):
     """The frame was taken, or it was not; each later answer is to the frame of its name."""
     frames = labels_of(tmp_path / "today")[:8]
