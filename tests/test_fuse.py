@@ -94,11 +94,14 @@ def test_a_graph(form, tmp_path):
     assert_labelled(segmenter, tmp_path / "net.onnx", pictures(count=network.batch or 2))
 
 
+OF_BYTES = {"white": 255, "mean": (73.2, 82.9, 72.4), "std": (1, 1, 1)}
+
+
 @pytest.mark.parametrize(
     "settings",
     [
-        {"size": 100, "longest": 120, "multiple": 16, "colour_order": "bgr"},
-        {"multiple": 8, "white": 255, "mean": (73.2, 82.9, 72.4), "std": (1, 1, 1)},
+        {"size": 100, "longest": 120, "multiple": 16, "colour_order": "bgr", **OF_BYTES},
+        pytest.param({"multiple": 8, **OF_BYTES}, marks=pytest.mark.slow),
     ],
 )
 def test_what_is_done_to_pictures_is_in_the_file(settings, tmp_path):
@@ -133,8 +136,9 @@ def test_a_users_own_export_of_paper_is_refused(tmp_path):
         torch.onnx.export(whole, (torch.rand(2, 3, 66, 98),), tmp_path / "own.onnx", dynamo=True)
 
 
+@pytest.mark.slow
 def test_a_users_own_export_of_network_and_head_gives_the_descriptors_of_both(tmp_path):
-    """At other sizes than the traced one."""
+    """At other sizes than the traced one. By default test_descriptor.py exports both for torch."""
     whole = nn.Sequential(colour_network(), SSRVLAD(CONFIG)).eval()
     dims = (dict.fromkeys((0, 2, 3), torch.export.Dim.AUTO),)
     example = (torch.rand(2, 3, 66, 98),)
@@ -207,13 +211,13 @@ def test_features_are_those_of_the_segmenter(form, tmp_path):
     network = shared_street() if form == "shared" else Street()
     if form in ("graph", "half"):
         network = OnnxNetwork(write_street(tmp_path / "seg.onnx", half=form == "half"))
-    segmenter = Segmenter(network, SPACE, PLAIN, multiple=16)
+    segmenter = Segmenter(network, SPACE, PLAIN)
     paths = tmp_path / "place.onnx", tmp_path / "net.onnx", tmp_path / "head.onnx"
     fuse(segmenter, CONFIG, paths[0])
     if form == "graph":
         fuse(segmenter, CONFIG, *paths[1:])
         assert verify(paths[0]).passed and verify(paths[1]).passed
-    for size in ((96, 128), (133, 301)):
+    for size in ((96, 128), (144, 304)):
         images = np.random.default_rng(0).integers(0, 256, (2, *size, 3), np.uint8)
         expected = np.stack([each.features for each in segmenter.segment([*images], True)])
         for file in paths[: 2 if form == "graph" else 1]:
