@@ -87,7 +87,7 @@ def run(maps, monkeypatch, capsys):
 
     def command_line(line: str) -> str:
         spaces = ("camvid-11", "cityscapes-ids")  # of the examples, and of `maps`
-        if line.startswith("ssrvlad export"):
+        if line.startswith(("ssrvlad export", "ssrvlad fuse")):
             spaces = ("cityscapes-trainids", "camvid-11")  # for which other tests trace the head
         words = shlex.split(line.replace(*spaces))
         monkeypatch.chdir(maps)
