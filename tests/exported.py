@@ -15,14 +15,20 @@ import onnxruntime
 import pytest
 import torch
 from drawings import SPACE, blobs
+from helpers import write_image
+from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
-from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
+from ssrvlad_torch.datasets.synthetic_city import SyntheticCity, write_city
 from ssrvlad_torch.deployment import export
 from ssrvlad_torch.taxonomy import label_space
 
 Maps = npt.NDArray[Any]
 PRESETS = ("paper", "default")
+FIXED = (1, 241, 317)
+"""The shape of the input of a file of fixed size, which takes int32."""
+SWEPT = (-8, -4, 0, 4, 8)
+"""The middle of the usual sweep: each column is traced anew."""
 presets = pytest.mark.parametrize("preset", PRESETS)
 by_preset_and_input = pytest.mark.parametrize(
     ("preset", "given", "dtype"),
@@ -159,6 +165,13 @@ def in_space(labels: Maps) -> Maps:
     for each in label_space("cityscapes-trainids").classes:
         ids[each.id] = first[each.category]
     return ids[labels]
+
+
+def write_city_in_space(folder: Path, **settings: Any) -> Path:
+    """`write_city`, in ``SPACE``, for which one head is traced for all tests."""
+    for file in write_city(folder, **settings).glob("*/*.png"):
+        write_image(file, in_space(np.asarray(Image.open(file))))
+    return folder
 
 
 def session(content: bytes, **options: Any) -> onnxruntime.InferenceSession:

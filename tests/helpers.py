@@ -248,7 +248,7 @@ def write_map(ssrvlad, path, *sources, segmenter=None):
     """A database of label maps of cities, or of what a network sees in pictures; also in NumPy's
     form as ``path``."""
     database = path.with_suffix(".ssrdb")
-    kind = ("--segmenter", segmenter) if segmenter else ("--labels-as", "cityscapes-trainids")
+    kind = ("--segmenter", segmenter) if segmenter else ("--labels-as", "camvid-11")
     assert ssrvlad("encode", *sources, "-o", database, *kind)[0] == 0
     assert ssrvlad("db", "export", database, "--format", "npy", "-o", path)[0] == 0
     return database

@@ -99,14 +99,13 @@ def test_other_weights_and_other_preparation_are_wrong(folder):
     assert all(by_size(verify_against("net.yaml", "test_against:half")).values())
 
 
-def test_a_fused_file_is_compared_with_its_network(folder):
-    config = SSRVLADConfig(labels_as=SPACE)
-    fuse(Segmenter(colour_network(), SPACE, PLAIN), config, folder / "place.onnx")
-    assert not any(by_size(verify_against("place.onnx", "networks:colour_network")).values())
-    assert all(by_size(verify_against("place.onnx", "test_against:half")).values())
+def test_a_fused_file_is_compared_with_its_network(folder, coloured):
+    place = coloured / "place.onnx"
+    assert not any(by_size(verify_against(place, "networks:colour_network")).values())
+    assert all(by_size(verify_against(place, "test_against:half")).values())
     export(Pooled(), folder / "net.onnx", (256, 384))
     write_settings()
-    fuse(folder / "net.yaml", config, folder / "wrong.onnx")
+    fuse(folder / "net.yaml", SSRVLADConfig(labels_as=SPACE), folder / "wrong.onnx")
     assert verify(folder / "wrong.onnx").passed, "files are compared with files"
     found = verify_against("wrong.onnx", "test_against:Pooled")
     assert by_size(found) == {(128, 128): True, (256, 384): False, (512, 768): True}

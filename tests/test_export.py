@@ -9,7 +9,9 @@ import torch
 from drawings import SPACE, VOID, blobs, degenerate
 from exported import (
     CUSTOM,
+    FIXED,
     RARE,
+    SWEPT,
     assert_equal,
     assert_parity,
     by_preset_and_input,
@@ -57,14 +59,14 @@ def test_a_file_that_does_not_load_is_refused(tmp_path, monkeypatch):
 
 
 def test_a_sweep_is_that_of_the_module(tmp_path):
-    config = of_preset("default", labels_as="cityscapes-trainids")  # as of other tests: one trace
-    export_head(config, tmp_path / "sweep.onnx", columns=COLUMNS)
+    config = of_preset("default")
+    export_head(config, tmp_path / "sweep.onnx", columns=SWEPT)
     assert verify(tmp_path / "sweep.onnx").passed
     model = session((tmp_path / "sweep.onnx").read_bytes())
     labels = np.stack([blobs(seed, 97, 211, 12) for seed in range(2)])
     (swept,) = model.run(["descriptor"], {"labels": labels})
-    expected = SSRVLAD(config).sweep(torch.from_numpy(labels), COLUMNS).numpy()
-    assert swept.shape == (2, len(COLUMNS), 480)
+    expected = SSRVLAD(config).sweep(torch.from_numpy(labels), SWEPT).numpy()
+    assert swept.shape == (2, len(SWEPT), 480)
     np.testing.assert_allclose(swept, expected, atol=1e-6)
 
 
@@ -79,13 +81,10 @@ def test_a_grid_too_wide_to_count_gives_no_number():
     assert np.isnan(descriptor).all()
 
 
-FIXED = (2, 241, 317)
-
-
 @pytest.mark.parametrize("shape", [FIXED, pytest.param((3, 19, 1), marks=pytest.mark.slow)])
 def test_a_file_of_fixed_size_agrees(shape):
-    run = run_of(of_preset("default"), "labels", None, shape)
-    batch = np.stack([blobs(seed, *shape[1:], 9 + seed) for seed in range(shape[0])])
+    run = run_of(of_preset("default"), "labels", "int32", shape)
+    batch = np.stack([blobs(seed, *shape[1:], 9 + seed) for seed in range(shape[0])]).astype("i4")
     assert_equal(run(batch), batch, of_preset("default"))
     descriptor, unknown = run(np.where(batch == 5, 12, batch))
     np.testing.assert_allclose(descriptor, run(np.where(batch == 5, VOID, batch))[0], atol=1e-6)
@@ -163,7 +162,7 @@ def test_arithmetic_is_on_dtypes_that_old_versions_of_the_runtime_have(preset):
 def test_default_has_no_bits_no_loops_and_no_shape_that_depends_on_labels():
     """What converters to other formats and accelerators take; with a size, all shapes are known."""
     for shape in (None, FIXED):
-        model = model_of(of_preset("default"), shape=shape)
+        model = model_of(of_preset("default"), dtype="int32" if shape else None, shape=shape)
         used = {node.op_type for node, _ in all_nodes(model.graph)}
         assert not used & {"NonZero", "Loop", "If", "Compress", "Unique", "BitShift", "TopK"}
         assert not any(name.startswith("Bitwise") for name in used)

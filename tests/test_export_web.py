@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from drawings import SPACE
-from exported import edit_golden, turned
+from exported import SWEPT, edit_golden, turned, write_city_in_space
 from helpers import COLOUR, GRAY, PALETTES, street, write_map, write_maps, write_palette, write_png
 from loop_streams import objects
 from networks import photo, write_moved_drives
@@ -21,10 +21,8 @@ from ssrvlad_place.model import Description
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head, match
 from ssrvlad_torch.cli.summaries import steps_in_words
-from ssrvlad_torch.datasets.synthetic_city import write_city
 from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.files import natural_key
-from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.stages.boundaries import AREA_LAYERS, DIRECTIONS
 from ssrvlad_torch.stages.harmonics import basis_table
 from ssrvlad_torch.taxonomy import CATEGORIES, label_space
@@ -208,7 +206,7 @@ def test_features_of_one_side_only_and_of_another_network(page, site, drives, ss
 
 def test_steps_are_told_as_by_query(page, site, ssrvlad, tmp_path):
     """Of a few files, of the way back with a camera that is turned, and of one file."""
-    city = write_city(tmp_path / "city", frames=34, size=(60, 80), seed=3)
+    city = write_city_in_space(tmp_path / "city", frames=34, size=(60, 80), seed=3)
     database = write_map(ssrvlad, site / "city.npy", city / "reference")
     write_heads(site / "city")
     files = sorted((city / "query").iterdir())
@@ -264,9 +262,8 @@ def test_a_frame_that_is_chosen_is_shown_and_one_that_is_torn_is_skipped(
 
 def write_heads(path):
     """Heads with and without a sweep."""
-    config = SSRVLADConfig(labels_as="cityscapes-trainids")
-    for name, columns in (("swept", COLUMNS), ("plain", ())):
-        export_head(config, Path(f"{path}.{name}.onnx"), dtype="uint8", columns=columns)
+    for name, columns in (("swept", SWEPT), ("plain", ())):
+        export_head(CONFIGS["default"], Path(f"{path}.{name}.onnx"), dtype="uint8", columns=columns)
 
 
 def test_a_golden_pair_that_comes_out_otherwise_is_refused(page, site):

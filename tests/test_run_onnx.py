@@ -9,7 +9,7 @@ import loops_onnx
 import numpy as np
 import pytest
 import run_onnx
-from exported import edit_golden, without_property
+from exported import FIXED, edit_golden, without_property
 from helpers import (
     assert_each_is_one_line,
     assert_no_reader_is_no_error,
@@ -188,17 +188,15 @@ def test_where_few_labels_differ_the_descriptor_may(others, cosine, problem):
     assert run_golden(runtime, "image", metadata).problem == problem
 
 
-def test_a_file_of_fixed_size_takes_no_other(maps, tmp_path, run):
-    files = sorted(maps.iterdir())
-    labels = np.asarray(Image.open(files[0]))
-    shape, path = (1, *labels.shape), tmp_path / "fixed.onnx"
-    export_head(CONFIG, path, "labels", "int32", (), shape)
+def test_a_file_of_fixed_size_takes_no_other(tmp_path, run):
+    labels, path = street(0, *FIXED[1:]), tmp_path / "fixed.onnx"
+    export_head(CONFIG, path, "labels", "int32", (), FIXED)
     got = Model(path).see_array(labels.astype(np.int32)).descriptor
     np.testing.assert_allclose(got, SSRVLAD(CONFIG)(labels[None])[0], rtol=0, atol=1e-6)
     np.save(tmp_path / "other.npy", labels[:-1])
     code, _, errors = run(path, tmp_path / "other.npy")
     assert code == 3
-    assert f"takes labels of {shape}, got {(1, *labels[:-1].shape)}" in errors[0]
+    assert f"takes labels of {FIXED}, got {(1, *labels[:-1].shape)}" in errors[0]
 
 
 def test_a_photograph_needs_no_option(coloured, tmp_path, run):

@@ -9,10 +9,11 @@ from typing import Any, NamedTuple
 
 import loops_onnx
 import numpy as np
+import pytest
 import run_onnx
 from built import Fixtures
 from drawings import SPACE
-from exported import of_preset
+from exported import SWEPT, of_preset, write_city_in_space
 from helpers import outcome, write_map
 from loop_streams import CAMVID, CONFIG, SECOND, objects, picture, write_drive
 from networks import write_moved_drives, write_other_drives
@@ -26,28 +27,23 @@ from ssrvlad_torch import SSRVLAD, export_head
 from ssrvlad_torch.channels.channel import new_channels
 from ssrvlad_torch.database.frames import FrameSet
 from ssrvlad_torch.datasets.image_files import find_image_files
-from ssrvlad_torch.datasets.synthetic_city import write_city
 from ssrvlad_torch.encoding.encoder import encode_to_memory
 from ssrvlad_torch.native.loops import Channel
 from ssrvlad_torch.native.map import DescriptorMap
-from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 Lines = list[dict[str, Any]]
-CITY = "cityscapes-trainids"
 
 
 class Scene(NamedTuple):
     """Files: a model, folders of frames, a map in NumPy's form and the folders of its frames; the
-    columns of a sweep, and the label space, if it is another than ``SPACE``. Maps are in the order
-    of a database, by name."""
+    columns of a sweep. Maps are in the order of a database, by name."""
 
     model: Path
     folders: Sequence[Path]
     town: Path | None = None
     maps: Sequence[Path] = ()
     columns: Sequence[int] = ()
-    labels_as: str | None = None
 
 
 def arrays_of(scene: Scene) -> list[Path]:
@@ -67,20 +63,20 @@ def arrays_of(scene: Scene) -> list[Path]:
 
 def of_label_maps(folder: Path, fixtures: Fixtures, swept: bool = False) -> Scene:
     """Two sequences in a map of two; swept, the first is the way back with a turned camera."""
-    city = write_city(folder / "city", frames=36, size=(60, 80), seed=3)
-    other = write_city(folder / "b", frames=12, size=(60, 80), seed=1)
+    city = write_city_in_space(folder / "city", frames=36, size=(60, 80), seed=3)
+    other = write_city_in_space(folder / "b", frames=12, size=(60, 80), seed=1)
     maps = (other / "reference").rename(folder / "other"), city / "reference"
     town, model = folder / "town.npy", folder / "head.onnx"
     write_map(fixtures("ssrvlad"), town, *maps)
-    config, columns = of_preset("default", labels_as=CITY), COLUMNS if swept else ()
-    export_head(config, model, columns=columns)
+    columns = SWEPT if swept else ()
+    export_head(of_preset("default"), model, columns=columns)
     here, there = folder / "today", (other / "query").rename(folder / "elsewhere")
     here.mkdir()
     files = sorted((city / "query").iterdir())
     for number, file in enumerate(files[::-1] if swept else files):
         labels = np.asarray(Image.open(file))
         Image.fromarray(np.roll(labels, 7, 1) if swept else labels).save(here / f"{number}.png")
-    return Scene(model, [here, there], town, maps, columns, CITY)
+    return Scene(model, [here, there], town, maps, columns)
 
 
 def of_pictures(folder: Path, fixtures: Fixtures) -> Scene:
@@ -107,17 +103,16 @@ MODES: dict[str, tuple[object, ...]] = {
 
 def channels_of(scene: Scene, folder: Path, columns: Sequence[int] = ()) -> FrameSet:
     """The frames of a folder by all channels that the package has of a scene."""
-    labels_as = SPACE if scene.labels_as is None else scene.labels_as
-    head, segmenter = SSRVLAD(of_preset("default", labels_as=labels_as)), None
+    head, segmenter = SSRVLAD(of_preset("default")), None
     if scene.model.name == "place.onnx":
-        segmenter = Segmenter.load(scene.model.with_name("net.yaml"), labels_as)
+        segmenter = Segmenter.load(scene.model.with_name("net.yaml"), SPACE)
     channels, files = new_channels(None, head, segmenter), find_image_files([str(folder)])
     space = head.label_space
     return encode_to_memory(channels, space, files, 1, segmenter=segmenter, columns=columns)[0]
 
 
-def by_the_core(scene: Scene, mode: str) -> Lines:
-    """The answers of the core to the descriptors of the package."""
+def by_the_core(scene: Scene, mode: str, columns: Sequence[int]) -> Lines:
+    """The answers of the core to the descriptors of the package, from some columns of a sweep."""
     maps, lines = [channels_of(scene, folder) for folder in scene.maps], []
     town = DescriptorMap([len(rows.frames) for rows in maps])
     frames = [frame for rows in maps for frame in rows.frames]
@@ -126,7 +121,7 @@ def by_the_core(scene: Scene, mode: str) -> Lines:
         town.add(name, rows, TRUST[name])
     follow, delay = {"offline": ("offline", 0), "online": ("online", 3)}.get(mode, (None, 0))
     for folder in scene.folders:
-        queries = channels_of(scene, folder, scene.columns)
+        queries = channels_of(scene, folder, columns)
         arrays = {name: array.numpy() for name, array in queries.channels.items()}
         count = len(queries.frames)
         for first in range(0, count, 1 if mode == SINGLE else count):
@@ -245,8 +240,15 @@ FOLLOWERS = {
     "ssrvlad query": by_query,
     "page": by_page,
 }
+RARE = {("swept label maps", "alone"), ("swept label maps", SINGLE), ("pictures", "alone")}
+"""Run no code that the other scenes and modes do not."""
 ASKED = [
-    *((name, scene, mode) for name in ("run_onnx.py", "C++") for scene in PLACES for mode in MODES),
+    *(
+        pytest.param(name, scene, mode, marks=[pytest.mark.slow] * ((scene, mode) in RARE))
+        for name in ("run_onnx.py", "C++")
+        for scene in PLACES
+        for mode in MODES
+    ),
     *((f"{name}, two files", "pictures", "offline") for name in ("run_onnx.py", "C++")),
     *(("ssrvlad query", scene, mode) for scene in [*PLACES][:2] for mode in [*MODES][:3]),
     *(("page", scene, "offline") for scene in PLACES),
