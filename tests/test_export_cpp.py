@@ -37,18 +37,6 @@ def place(build):
     return partial(outcome, build / "place")
 
 
-@pytest.fixture(scope="module")
-def follow(build):
-    """The program for drives."""
-    return partial(outcome, build / "follow")
-
-
-@pytest.fixture(scope="module")
-def loops(build):
-    """The program for streams."""
-    return partial(outcome, build / "loops")
-
-
 @pytest.fixture
 def town(tmp_path):
     """A label map in two forms, and a database of six."""
@@ -182,9 +170,9 @@ def test_a_picture_that_is_shorter_than_its_header_says_is_one_line(place, head,
     assert place(head, tmp_path / "x.pgm")[2] == [f"place: {tmp_path / 'x.pgm'}: ends too early"]
 
 
-def test_frames_have_the_order_and_the_ids_of_python(follow, main_of, head, town, tmp_path):
+def test_frames_have_the_order_and_the_ids_of_python(build, main_of, head, town, tmp_path):
     """Of a folder, and of its files; of a second frame of one name a line says so."""
-    drive = tmp_path / "drive"
+    follow, drive = partial(outcome, build / "follow"), tmp_path / "drive"
     drive.mkdir()
     for name in ("10", "9", "001", "01", "1", "b2", "a10", "12.5", "12.25"):
         shutil.copy(tmp_path / "map.npy", drive / f"{name}.npy")
@@ -223,9 +211,10 @@ def stream(tmp_path):
     return folder
 
 
-def test_a_stream_is_saved_in_one_array_and_goes_on(loops, drives, head, stream, tmp_path):
+def test_a_stream_is_saved_in_one_array_and_goes_on(build, drives, head, stream, tmp_path):
     """As one that was not stopped; another model, and what is no such array, are refused."""
     memory, later = tmp_path / "memory.npy", tmp_path / "later"
+    loops = partial(outcome, build / "loops")
     expected = [json.loads(line) for line in loops(*LOOPS, head, stream)[1]]
     later.mkdir()
     for number in range(45, len(SEEDS)):
