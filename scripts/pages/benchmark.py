@@ -22,6 +22,7 @@ import torch
 from _loops_cost import loops_table
 from _markdown import DOCS, Page, head_row, row, save, span, write_csv
 from _picture_costs import pictures_table
+from _sequence_cost import sequences_table
 from _timing import heads, onnx_head, threads, time_in_turn
 from matplotlib.figure import Figure
 from PIL import Image
@@ -117,7 +118,7 @@ def main() -> None:
     arguments.add_argument("--networks", type=Path, default=None)
     arguments.add_argument("--output", type=Path, default=Path("docs/evaluation/speed.md"))
     arguments.add_argument("--repetitions", type=int, default=5)
-    arguments.add_argument("--only", nargs="+", help="tables: size, loops, pictures; without, all")
+    arguments.add_argument("--only", nargs="+", help="tables: size, sequences, loops, pictures")
     arguments.add_argument("--here", action="store_true", help="print the first table only")
     options = arguments.parse_args()
     maps = Maps(options.camvid)
@@ -131,6 +132,7 @@ def main() -> None:
     again = options.repetitions
     tables = {
         "size": partial(size_table, maps, again, DOCS / "figures" / "speed.svg"),
+        "sequences": partial(sequences_table, again),
         "loops": partial(loops_table),
     }
     if options.networks is not None and pictures:
