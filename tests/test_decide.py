@@ -257,6 +257,18 @@ def test_a_long_sequence_computes_beliefs_again_with_the_same_places():
     assert whole.rows[:, 0].tolist() == (few.rows[:, 0] + 4000).tolist() == [*range(5000, 5050)]
 
 
+@pytest.mark.parametrize(("mode", "delay"), [("offline", 0), ("online", 3)])
+def test_frames_that_equal_their_rows_in_a_large_map_are_followed(mode, delay):
+    """The likelihood of two neighbouring frames is more than single precision holds."""
+    rows = np.r_[:120, 1000:300_000:1500]
+    shortlist = Shortlist(rows, np.where(rows < 120, 1.0, 1500.0), np.array([0]))
+    scores = np.zeros((40, len(rows)), np.float32)
+    track = np.arange(50, 90)
+    scores[range(40), track] = 1
+    got = decide(scores, [300_000], mode, delay, shortlist=shortlist)
+    assert got.followed and (got.rows[:, 0] == track).all()
+
+
 def test_few_rows_give_no_confidence():
     scores = noisy([*range(5, 25)], 29, strength=0.5)
     assert not decide(scores).right.any()

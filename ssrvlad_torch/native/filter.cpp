@@ -68,6 +68,13 @@ void sum_speeds(float *target, const float *values, Size rows, Size count) {
   });
 }
 
+// Scales a future by the highest of its numbers: products with those of another frame stay finite.
+void scale_future(Future &future, double high) {
+  if (high <= HIGH && high >= 1 / HIGH) return;
+  future.unit = 1 / high;
+  for (double *value : {&future.elsewhere, &future.unmapped, &future.any_row}) *value /= high;
+}
+
 // Of values and what they have in common, each times a factor.
 void mix(float *target, const float *values, float factor, const float *common, float part, Size count) {
   on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] = factor * values[i] + part * common[i]; });
@@ -427,6 +434,7 @@ Future Filter::last(const Belief &belief, const Likelihood &likelihood) const {
     future.mapped.insert(future.mapped.end(), likelihood.rows.begin(), likelihood.rows.begin() + belief.rows.count);
   const double mapped = sum(likelihood.rows.data(), belief.rows.count) * static_cast<double>(ways_.size());
   future.any_row = any_row(mapped, likelihood.elsewhere, belief.rows);
+  scale_future(future, std::max({future.unmapped, future.elsewhere, mapped}));
   return future;
 }
 
@@ -483,10 +491,7 @@ std::pair<Future, Smoothed> Filter::before(const Belief &belief, const Likelihoo
   earlier.any_row = any_row(mapped, earlier.elsewhere, belief.rows);
   const double high = std::max({earlier.unmapped, earlier.elsewhere, mapped});
   if (high < LEAST_TOTAL) return {last(belief, likelihood), std::move(smoothed)};
-  if (high > HIGH || high < 1 / HIGH) {
-    earlier.unit = 1 / high;
-    for (double *value : {&earlier.elsewhere, &earlier.unmapped, &earlier.any_row}) *value /= high;
-  }
+  scale_future(earlier, high);
   return {std::move(earlier), std::move(smoothed)};
 }
 
