@@ -277,7 +277,7 @@ void Tracker::keep(Archive &archive) {
   archive(runs);
   if (!runs) return;
   Course course = course_ ? course_->course : Course{};
-  archive(course);
+  archive(course.way), archive(course.rate), archive(course.streams);
   if (archive.reads()) {
     require(std::any_of(courses_.begin(), courses_.end(), [&](const Course &other) { return same(course, other); }));
     set_course(course);
