@@ -42,7 +42,7 @@ def test_tables_are_read_by_column_name(tmp_path, text, poses):
         ("frame,x\n1,2\n", "no column 'y'"),
         ("frame,x,y\n1,2,3\n2,east,4\n", "line 3: .*'east'"),
         ("frame,x,y\n0,inf,1\n", "line 2: expected a finite number, got inf"),
-        ("frame,x,y\n0,1,1\n0.png,2,1\n", "line 3: frame '0.png' has two positions"),
+        ("frame,x,y\n0,1,1\n0.png,2,1\n", "line 3: frame '0.png' has two poses"),
         ("frame,x,y,heading\n0,1,5,2,5,0\n", "line 2: more cells than columns: 5,0"),
         ("frame,x,y,x\n0,1,1,2\n", "line 1: two columns 'x'"),
         ("frame,x,y\n0,1,nan\n", "line 2: x is 1 and y is nan; expected two numbers, or nan twice"),
