@@ -8,9 +8,10 @@ from collections.abc import Iterator, Mapping
 from statistics import median
 
 import numpy as np
+import torch
 from _markdown import head_row, row
 
-from ssrvlad_torch.recognition.recognise import Steps, recognise, references_of
+from ssrvlad_torch.recognition.recognise import Steps, recognise_by_scores, references_of
 from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.stages.features import SHAPE
 
@@ -20,22 +21,22 @@ Arrays = Mapping[str, np.ndarray]
 
 
 def sequences_table(repetitions: int) -> Iterator[str]:
-    """A row for label maps from one column, for the full sweep, and with features and HOG. What
-    comparing takes is not counted again as deciding."""
+    """A row for label maps from one column, for the full sweep, and with features and HOG."""
     names = ("comparing", "deciding, single frames", "deciding, offline")
     yield from head_row("channels", *names, "offline / comparing")
     for title, (frames, queries) in drawn().items():
         sweep = queries["label_shapes"].shape[1] > 1
-        town, sequences = references_of(frames, ["map"] * FRAMES), ["queries"] * QUERIES
+        places, sequences = ["map"] * FRAMES, ["queries"] * QUERIES
+        town = references_of(frames, places)
         times: dict[str, list[float]] = {name: [] for name in names}
         for _ in range(repetitions):
             began = time.process_time()
-            town.compare(queries, True, sweep)
+            scores = torch.from_numpy(town.compare(queries, True, sweep)[0])
             times["comparing"].append(time.process_time() - began)
             for name, follow in zip(names[1:], (None, "offline"), strict=True):
                 began = time.process_time()
-                recognise(queries, sequences, town, Steps(sweep=sweep, follow=follow))
-                times[name].append(time.process_time() - began - times["comparing"][-1])
+                recognise_by_scores(scores, sequences, places, Steps(follow=follow))
+                times[name].append(time.process_time() - began)
         pairs = zip(times["deciding, offline"], times["comparing"], strict=True)
         ratio = median(offline / comparing for offline, comparing in pairs)
         yield row(title, *(f"{1e3 * median(times[name]):.0f}" for name in names), f"{ratio:.2f}")
