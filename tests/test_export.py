@@ -58,15 +58,16 @@ def test_a_file_that_does_not_load_is_refused(tmp_path, monkeypatch):
     assert not any(tmp_path.iterdir())
 
 
-def test_a_sweep_is_that_of_the_module(tmp_path):
+@pytest.mark.parametrize("columns", [SWEPT, pytest.param(COLUMNS, marks=pytest.mark.slow)])
+def test_a_sweep_is_that_of_the_module(tmp_path, columns):
     config = of_preset("default")
-    export_head(config, tmp_path / "sweep.onnx", columns=SWEPT)
+    export_head(config, tmp_path / "sweep.onnx", columns=columns)
     assert verify(tmp_path / "sweep.onnx").passed
     model = session((tmp_path / "sweep.onnx").read_bytes())
     labels = np.stack([blobs(seed, 97, 211, 12) for seed in range(2)])
     (swept,) = model.run(["descriptor"], {"labels": labels})
-    expected = SSRVLAD(config).sweep(torch.from_numpy(labels), SWEPT).numpy()
-    assert swept.shape == (2, len(SWEPT), 480)
+    expected = SSRVLAD(config).sweep(torch.from_numpy(labels), columns).numpy()
+    assert swept.shape == (2, len(columns), 480)
     np.testing.assert_allclose(swept, expected, atol=1e-6)
 
 

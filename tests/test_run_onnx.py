@@ -22,7 +22,7 @@ from loop_streams import objects
 from networks import photo, write_graph
 from PIL import Image
 from ssrvlad_place.golden import run_golden
-from ssrvlad_place.model import TRUST, Model
+from ssrvlad_place.model import TRUST, Model, Split
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head
 from ssrvlad_torch.channels.features import Features
@@ -219,9 +219,12 @@ def test_a_photograph_needs_no_option(coloured, tmp_path, run):
 
 
 def test_network_and_head_in_two_files(coloured, tmp_path, run):
-    """They are checked as one; files that do not belong together are refused."""
-    net, head = (coloured / f"{name}.onnx" for name in ("net", "head"))
-    np.save(tmp_path / "1.npy", photo(street(1, 60, 90)))
+    """They give what one file gives; files that do not belong together are refused."""
+    net, head, place = (coloured / f"{name}.onnx" for name in ("net", "head", "place"))
+    pixels = photo(street(1, 60, 90))
+    np.save(tmp_path / "1.npy", pixels)
+    one, other = (model.see_array(pixels).descriptor for model in (Split(net, head), Model(place)))
+    np.testing.assert_array_equal(one, other)
     code, out, _ = run(head, "--network", net, "--check")
     largest = out.removeprefix("largest difference for the golden pair: ")
     assert (code, float(largest) < 1e-6) == (0, True), out

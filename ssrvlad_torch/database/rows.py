@@ -81,8 +81,7 @@ class Origin(NamedTuple):
 
 
 class Metadata(NamedTuple):
-    """A table's metadata: the settings of the first column (or ``None``), the columns of
-    descriptors, and origins by their keys."""
+    """Settings of the first column, if any, columns of descriptors, and origins by their keys."""
 
     config: SSRVLADConfig | None
     columns: tuple[Column, ...]
