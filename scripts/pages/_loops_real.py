@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from _described import FEATURES, OURS, Described, channel_of
 from _markdown import Page, head_row, row, write_csv
-from _sure_cases import FOREIGN, camvid_cases, of
+from _real_pairs import FOREIGN, camvid_cases, of
 from _tours import CONDITIONS, swept
 from conditions import NETWORKS, ROUTES, near_rows
 from torch import Tensor

@@ -34,7 +34,7 @@ from _described import (
     all_conditions,
 )
 from _markdown import DOCS, Page, head_row, parser, read_csv, row, save
-from _sure_cases import add_new, new_pairs, of
+from _real_pairs import add_new, new_pairs, of
 from conditions import NETWORKS, Search
 from matplotlib.figure import Figure
 
