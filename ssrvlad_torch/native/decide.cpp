@@ -16,16 +16,16 @@ constexpr Size BLOCK = 16;            // queries that are shared among threads
 
 // ------------------------------------------------------------------------------------------ following
 
-// Keeps one belief in `stride`; the others are computed again. `kept` may have all of them.
+// One belief in so many is kept, and the others are computed again: new memory costs more than they do.
+Size stride_of(Size queries) { return static_cast<Size>(std::sqrt(static_cast<double>(queries))); }
+
+// `kept` may have what was seen at each stride.
 void follow_offline(const Filter &filter, const Evidence &evidence, const std::vector<Size> &queries, int threads,
                     std::vector<Seen> kept, Places &places) {
-  const auto count = static_cast<Size>(queries.size());
-  Walk walk{filter, kept.empty() ? Seen{} : kept.back()};
-  Size stride = 1;
-  for (Size query = static_cast<Size>(kept.size()); query < count; ++query) {
+  const auto count = static_cast<Size>(queries.size()), stride = stride_of(evidence.queries());
+  Walk walk{filter, {}};
+  for (Size query = 0; static_cast<Size>(kept.size()) * stride < count; ++query) {
     walk.step(evidence, queries[query]);
-    if (!query && count * static_cast<Size>(walk.now.belief->mapped.size()) > KEPT)
-      stride = static_cast<Size>(std::sqrt(static_cast<double>(count)));
     if (query % stride == 0) kept.push_back(walk.now);
   }
   Seen later;
@@ -82,7 +82,7 @@ struct BestCourse {
 // of what it had gained a query until then.
 BestCourse best_course_of(const Evidence &evidence) {
   const std::vector<Course> tried = courses();
-  Trial trial(evidence.map(), tried, KEPT);
+  Trial trial(evidence.map(), tried, KEPT, stride_of(evidence.queries()));
   std::vector<std::size_t> running(tried.size());
   std::iota(running.begin(), running.end(), 0);
   Size rested = 0;  // queries until the last one came to rest, and the gain there

@@ -128,8 +128,9 @@ std::vector<Course> courses();
 // Courses that are tried at once, so that each query is scored once.
 class Trial {
  public:
-  // Keeps the past of the courses if that takes at most so many numbers.
-  Trial(const Drives &drives, const std::vector<Course> &courses, Size most = 0) : left_(most), gains_(courses.size()) {
+  // Keeps what was seen at each stride of the streams if that takes at most so many numbers.
+  Trial(const Drives &drives, const std::vector<Course> &courses, Size most = 0, Size stride = 1)
+      : left_(most), stride_(stride), gains_(courses.size()) {
     for (const Course &course : courses) {
       Motion motion;
       motion.rate = course.rate;
@@ -145,17 +146,18 @@ class Trial {
   }
   void step(const Evidence &evidence, Size query, std::size_t course) {
     std::vector<Walk> &streams = walks_[course];
-    Walk &walk = streams[static_cast<std::size_t>(counts_[course]++) % streams.size()];
+    const Size count = counts_[course]++, number = static_cast<Size>(streams.size());
+    Walk &walk = streams[static_cast<std::size_t>(count % number)];
     const double gain = walk.step(evidence, query);
-    gains_[course] += streams.size() > 1 ? MODEL.of_two * gain : gain;
-    if (left_ > 0) remember(walk);
+    gains_[course] += number > 1 ? MODEL.of_two * gain : gain;
+    if (left_ > 0 && count / number % stride_ == 0) remember(walk);
   }
 
   // Of the queries by each course: the logarithm of how much likelier they are so than alone; what counts of it.
   const std::vector<double> &gains() const { return gains_; }
   // How many queries a course has taken.
   Size count(std::size_t course) const { return counts_[course]; }
-  // What was seen by each stream of a course; empty if that is not kept.
+  // What was seen by each stream of a course at each stride; empty if that is not kept.
   std::vector<std::vector<Seen>> past(std::size_t course) const {
     std::vector<std::vector<Seen>> past;
     for (const Walk &walk : walks_[course]) past.push_back(walk.past);
@@ -179,6 +181,7 @@ class Trial {
   }
 
   Size left_;  // of the numbers that may be kept
+  Size stride_;
   std::vector<Size> counts_;
   std::vector<double> gains_;
   std::vector<std::unique_ptr<Filter>> filters_;

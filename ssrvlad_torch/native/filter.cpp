@@ -37,24 +37,31 @@ void visit_others(const Rows &rows, const Rows &listed, const Drives &drives, Fu
         [](Size, Size) {});
 }
 
-// Makes a target of sums of following values, each times its weight.
-template <Size WIDTH>
-void slide_by(float *target, const float *values, Size count, const float *weights) {
-  on_cpu([=](auto) {
-    for (Size i = 0; i < count; ++i) {
-      float total = 0;
-      for (Size k = 0; k < WIDTH; ++k) total += weights[k] * values[i + k];
-      target[i] = total;
-    }
-  });
-}
-
-// The same of as many weights as a speed at MOST_RATE has: a loop of a number that the compiler knows is ten times
-// as fast.
-void slide(float *target, const float *values, Size count, const std::vector<float> &weights) {
-  constexpr decltype(&slide_by<1>) BY[] = {slide_by<1>, slide_by<2>, slide_by<3>, slide_by<4>,
-                                           slide_by<5>, slide_by<6>, slide_by<7>};
-  BY[weights.size() - 1](target, values, count, weights.data());
+// Takes the sums of as many following values as there are weights, each times its weight. A loop of a number that the
+// compiler knows is ten times as fast; a speed has at most seven steps, as rates above 1 are whole and at most MOST_RATE.
+template <typename Take>
+void slide(const float *values, Size count, const std::vector<float> &weights, Take take) {
+  const auto by = [&](auto width) {
+    constexpr Size WIDTH = width;
+    std::array<float, WIDTH> factors;
+    std::copy_n(weights.begin(), WIDTH, factors.begin());
+    on_cpu([=](auto) {
+      for (Size i = 0; i < count; ++i) {
+        float total = 0;
+        for (Size k = 0; k < WIDTH; ++k) total += factors[k] * values[i + k];
+        take(i, total);
+      }
+    });
+  };
+  switch (weights.size()) {
+    case 1: return by(std::integral_constant<Size, 1>());
+    case 2: return by(std::integral_constant<Size, 2>());
+    case 3: return by(std::integral_constant<Size, 3>());
+    case 4: return by(std::integral_constant<Size, 4>());
+    case 5: return by(std::integral_constant<Size, 5>());
+    case 6: return by(std::integral_constant<Size, 6>());
+    default: return by(std::integral_constant<Size, 7>());
+  }
 }
 
 // The sums of the speeds of neighbouring rows, of as many rows.
@@ -80,6 +87,20 @@ void mix(float *target, const float *values, float factor, const float *common, 
   on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] = factor * values[i] + part * common[i]; });
 }
 
+// Makes a future of what steps lead to, times a factor, and of what is common to all speeds; adds its products with a
+// belief to the smoothed ones; and weighs it: the sum.
+double look_back(float *future, const float *moved, float factor, const float *common, const float *belief,
+                 float *smoothed, const float *likely, Size count) {
+  on_cpu([=](auto) {
+    for (Size i = 0; i < count; ++i) {
+      const float later = factor * moved[i] + common[i];
+      smoothed[i] += belief[i] * later;
+      future[i] = later * likely[i];
+    }
+  });
+  return quick_sum(future, count);
+}
+
 // Memory for neighbouring rows of a drive, and those that steps lead to or from: by speed what comes from a list.
 struct Window {
   struct Part {
@@ -90,17 +111,17 @@ struct Window {
   Floats values, all, moved;
 
   bool is_full() const { return parts.size() == 1 && parts.front().count == static_cast<Size>(values.size()); }
-  const float *of(int speed, Size count) const { return moved.data() + speed * count; }
 };
 
-// What comes to neighbouring rows of a drive from the listed rows of a belief.
+// Takes what comes to neighbouring rows of a drive from the listed rows of a belief, by speed: values before steps, and
+// the probabilities of the steps.
+template <typename Take>
 void arrive(const Belief &before, Size way, const Drives &drives, const Steps &steps, const Motion &motion,
-            const Run &to, Window &window) {
+            const Run &to, Window &window, Take take) {
   const Size size = to.last - to.first, first = to.first - steps.last, width = size + steps.last - steps.first;
   const float *mapped = before.mapped.data() + way * SPEEDS * before.rows.count;
   const double stays = (1 - motion.jump) * before.unit;
   window.parts.clear();
-  window.moved.resize(static_cast<std::size_t>(SPEEDS * size));
   visit(
       first, first + width, to.drive, before.rows, drives,
       [&](Size row, Size place, Size count) { window.parts.push_back({row - first, place, count}); },
@@ -117,18 +138,17 @@ void arrive(const Belief &before, Size way, const Drives &drives, const Steps &s
       mix(window.values.data() + at, mapped + number * before.rows.count + place,
           static_cast<float>(stays * (1 - motion.change)), window.all.data() + at,
           static_cast<float>(stays * motion.change * PRIOR[number]), count);
-    slide(window.moved.data() + number * size, window.values.data() + steps.last - speed.last(), size,
-          speed.reversed);
+    take(number, window.values.data() + steps.last - speed.last(), speed.reversed);
   }
 }
 
 // What is found from neighbouring rows of a drive, by a future, from a list, from rows that are not listed, and outside
 // the drive; and from all speeds by a change of it.
-void depart(const Future &future, Size way, const Rows &later, double outside, const Drives &drives,
+void depart(const Future &future, const Rows &later, double outside, const Drives &drives,
             const Steps &steps, const Motion &motion, const Run &from, Window &window) {
   const Size size = from.last - from.first, first = from.first + steps.first,
              width = size + steps.last - steps.first;
-  const float *mapped = future.mapped.data() + way * SPEEDS * later.count;
+  const float *mapped = future.mapped.data();
   window.parts.clear();
   window.values.resize(static_cast<std::size_t>(width));
   window.all.assign(static_cast<std::size_t>(size), static_cast<float>(motion.jump * outside));
@@ -143,13 +163,14 @@ void depart(const Future &future, Size way, const Rows &later, double outside, c
       [&](Size row, Size count) { fill(row, count, outside); });
   for (int number = 0; number < SPEEDS; ++number) {
     const Steps::Speed &speed = steps.of[number];
-    const float *values = window.is_full() ? mapped + number * later.count + window.parts.front().place : window.values.data();
+    const float *values =
+        window.is_full() ? mapped + number * later.count + window.parts.front().place : window.values.data();
     for (const auto &[at, place, count] : window.parts)
       if (!window.is_full()) std::copy_n(mapped + number * later.count + place, count, window.values.begin() + at);
     float *moved = window.moved.data() + number * size;
-    slide(moved, values + speed.first - steps.first, size, speed.chances);
-    add(window.all.data(), moved,
-        static_cast<float>((1 - motion.jump) * motion.change * PRIOR[number] * future.unit), size);
+    const auto changes = static_cast<float>((1 - motion.jump) * motion.change * PRIOR[number] * future.unit);
+    slide(values + speed.first - steps.first, size, speed.chances,
+          [=, all = window.all.data()](Size at, float total) { moved[at] = total, all[at] += changes * total; });
   }
 }
 }  // namespace
@@ -256,7 +277,8 @@ Spread Listing::spread(const float *near) const {
   if (number == 0) return {};
   const double mean = total / number;
   for (Size place = 0; place < count(); ++place)
-    if (near[place] != NONE) squares += weights[place] * (static_cast<double>(near[place]) - mean) * (static_cast<double>(near[place]) - mean);
+    if (const double away = static_cast<double>(near[place]) - mean; near[place] != NONE)
+      squares += weights[place] * away * away;
   return {mean, std::max(MIN_SPREAD, std::sqrt(squares / number))};
 }
 
@@ -333,8 +355,14 @@ Filter::Passing Filter::passing(const Belief &before, const Rows &rows) const {
       const auto add_to = [&](double &total) {
         return [&](Size row, Size count) {
           in_pieces({row, row + count, 0, run.drive}, [&](const Run &to) {
-            arrive(before, static_cast<Size>(way), drives_, steps, motion_, to, window);
-            total += quick_sum(window.moved.data(), SPEEDS * (to.last - to.first));
+            const Size size = to.last - to.first;
+            window.moved.resize(static_cast<std::size_t>(SPEEDS * size));
+            arrive(before, static_cast<Size>(way), drives_, steps, motion_, to, window,
+                   [&](int speed, const float *values, const std::vector<float> &chances) {
+                     slide(values, size, chances,
+                           [=, moved = window.moved.data() + speed * size](Size at, float sum) { moved[at] = sum; });
+                   });
+            total += quick_sum(window.moved.data(), SPEEDS * size);
           });
         };
       };
@@ -375,17 +403,24 @@ std::pair<Belief, double> Filter::after(const Belief &before, const Rows &rows, 
     for (const Run &run : rows.runs)
       in_pieces(run, [&](const Run &to) {
         const Size size = to.last - to.first;
-        arrive(before, way, drives_, ways_[static_cast<std::size_t>(way)], motion_, to, window);
         from_others.assign(static_cast<std::size_t>(size), static_cast<float>(by_chance));
         if (at_fresh > 0)
           visit(
               to.first, to.last, to.drive, before.rows, drives_, [](Size, Size, Size) {},
-              [&](Size row, Size count) { raise(from_others.data() + row - to.first, static_cast<float>(at_fresh), count); },
+              [&](Size row, Size count) {
+                raise(from_others.data() + row - to.first, static_cast<float>(at_fresh), count);
+              },
               [](Size, Size) {});
-        for (int speed = 0; speed < SPEEDS; ++speed)
-          mapped += weighed(after.mapped.data() + (way * SPEEDS + speed) * there + to.at, window.of(speed, size),
-                            from_others.data(), static_cast<float>(PRIOR[speed]),
-                            likelihood.rows.data() + to.at, size);
+        arrive(before, way, drives_, ways_[static_cast<std::size_t>(way)], motion_, to, window,
+               [&](int speed, const float *values, const std::vector<float> &chances) {
+                 float *target = after.mapped.data() + (way * SPEEDS + speed) * there + to.at;
+                 slide(values, size, chances,
+                       [=, others = from_others.data(), prior = static_cast<float>(PRIOR[speed]),
+                        likely = likelihood.rows.data() + to.at](Size at, float moved) {
+                         target[at] = (moved + prior * others[at]) * likely[at];
+                       });
+                 mapped += quick_sum(target, size);
+               });
       });
   const double total = mapped + after.elsewhere * likelihood.elsewhere + after.unmapped;
   if (total >= LEAST_TOTAL) {
@@ -430,9 +465,9 @@ double Filter::update(Belief &belief, const Likelihood &likelihood) const {
 
 Future Filter::last(const Belief &belief, const Likelihood &likelihood) const {
   Future future{{}, likelihood.elsewhere};
-  for (std::size_t state = 0; state < ways_.size() * SPEEDS; ++state)
+  for (int speed = 0; speed < SPEEDS; ++speed)
     future.mapped.insert(future.mapped.end(), likelihood.rows.begin(), likelihood.rows.begin() + belief.rows.count);
-  const double mapped = sum(likelihood.rows.data(), belief.rows.count) * static_cast<double>(ways_.size());
+  const double mapped = sum(likelihood.rows.data(), belief.rows.count);
   future.any_row = any_row(mapped, likelihood.elsewhere, belief.rows);
   scale_future(future, std::max({future.unmapped, future.elsewhere, mapped}));
   return future;
@@ -441,47 +476,39 @@ Future Filter::last(const Belief &belief, const Likelihood &likelihood) const {
 std::pair<Future, Smoothed> Filter::before(const Belief &belief, const Likelihood &likelihood, const Rows &later,
                                            const Future &future, Floats memory) const {
   const Size here = belief.rows.count, there = later.count;
-  const auto ways = static_cast<Size>(ways_.size());
   const double stays = 1 - motion_.jump;
   const double lost = (1 - motion_.unmapped) * future.any_row + motion_.unmapped * future.unmapped;
   Size fresh = 0;
   double at_fresh = 0;
   visit_others(later, belief.rows, drives_, [&](Size place, Size count) {
     fresh += count;
-    for (Size state = 0; state < ways * SPEEDS; ++state)
-      at_fresh += PRIOR[static_cast<std::size_t>(state % SPEEDS)] * future.unit *
-                  sum(future.mapped.data() + state * there + place, count);
+    for (int speed = 0; speed < SPEEDS; ++speed)
+      at_fresh += PRIOR[speed] * future.unit * sum(future.mapped.data() + speed * there + place, count);
   });
   const double part =
       static_cast<double>(fresh) / static_cast<double>(std::max<Size>(1, drives_.rows - here));
-  const double come = fresh ? part * at_fresh / static_cast<double>(fresh * ways) : 0;
+  const double come = fresh ? part * at_fresh / static_cast<double>(fresh) : 0;
   const double elsewhere = stays * (come + (1 - part) * future.elsewhere) + motion_.jump * lost;
   Future earlier{std::move(memory), elsewhere * likelihood.elsewhere,
                  motion_.stay * future.unmapped + (1 - motion_.stay) * future.any_row};
-  earlier.mapped.resize(static_cast<std::size_t>(ways * SPEEDS * here));
+  earlier.mapped.resize(static_cast<std::size_t>(SPEEDS * here));
   Smoothed smoothed{Floats(static_cast<std::size_t>(here), 0.0F), belief.unmapped * earlier.unmapped};
-  double mapped = 0, other_ways = 0;
+  double mapped = 0;
   Window window;
-  for (Size way = 0; way < ways; ++way)
-    for (const Run &run : belief.rows.runs)
-      in_pieces(run, [&](const Run &from) {
-        const Size size = from.last - from.first;
-        depart(future, way, later, lost, drives_, ways_[static_cast<std::size_t>(way)], motion_, from, window);
-        for (int speed = 0; speed < SPEEDS; ++speed) {
-          const Size place = (way * SPEEDS + speed) * here + from.at;
-          float *found = earlier.mapped.data() + place;
-          const float *now = belief.mapped.data() + place;
-          mix(found, window.of(speed, size), static_cast<float>(stays * (1 - motion_.change) * future.unit),
-              window.all.data(), 1, size);
-          if (way)
-            other_ways += dot(now, found, size);
-          else
-            add_product(smoothed.rows.data() + from.at, now, found, size);
-          mapped += PRIOR[speed] * multiply(found, likelihood.rows.data() + from.at, size);
-        }
-      });
-  const double total = belief.unit * (sum(smoothed.rows.data(), here) + other_ways) + belief.elsewhere * elsewhere +
-                       smoothed.unmapped;
+  for (const Run &run : belief.rows.runs)
+    in_pieces(run, [&](const Run &from) {
+      const Size size = from.last - from.first;
+      depart(future, later, lost, drives_, ways_.front(), motion_, from, window);
+      const auto same_speed = static_cast<float>(stays * (1 - motion_.change) * future.unit);
+      for (int speed = 0; speed < SPEEDS; ++speed) {
+        const Size place = speed * here + from.at;
+        const double found = look_back(earlier.mapped.data() + place, window.moved.data() + speed * size, same_speed,
+                                       window.all.data(), belief.mapped.data() + place,
+                                       smoothed.rows.data() + from.at, likelihood.rows.data() + from.at, size);
+        mapped += PRIOR[speed] * found;
+      }
+    });
+  const double total = belief.unit * sum(smoothed.rows.data(), here) + belief.elsewhere * elsewhere + smoothed.unmapped;
   if (total < LEAST_TOTAL) {
     smoothed = {belief.of_rows(), belief.unmapped};
   } else {

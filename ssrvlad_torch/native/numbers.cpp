@@ -42,7 +42,17 @@ double quick_sum(const float *values, Size count) {
   constexpr Size BLOCK = 512;
   return on_cpu([=](auto) {
     double total = 0;
-    for (Size first = 0; first < count; first += BLOCK)
+    Size first = 0;
+    for (; first + 2 * BLOCK <= count; first += 2 * BLOCK) {  // two at once: a sum waits for the one before
+      float lanes[2][LANES] = {};
+      for (Size i = first; i < first + BLOCK; i += LANES)
+        for (Size lane = 0; lane < LANES; ++lane) {
+          lanes[0][lane] += values[i + lane];
+          lanes[1][lane] += values[BLOCK + i + lane];
+        }
+      for (float *sums : lanes) total += static_cast<double>(folded(sums));
+    }
+    for (; first < count; first += BLOCK)
       total += static_cast<double>(
           summed<float>(std::min(BLOCK, count - first), [=](Size i) { return values[first + i]; }));
     return total;
@@ -63,23 +73,12 @@ void add(float *target, const float *values, float factor, Size count) {
   on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] += factor * values[i]; });
 }
 
-void add_product(float *target, const float *values, const float *others, Size count) {
-  on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] += values[i] * others[i]; });
-}
-
 void raise(float *target, float value, Size count) {
   on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] += value; });
 }
 
 double multiply(float *target, const float *values, Size count) {
   on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] *= values[i]; });
-  return quick_sum(target, count);
-}
-
-double weighed(float *target, const float *values, const float *others, float factor, const float *weights, Size count) {
-  on_cpu([=](auto) {
-    for (Size i = 0; i < count; ++i) target[i] = (values[i] + factor * others[i]) * weights[i];
-  });
   return quick_sum(target, count);
 }
 

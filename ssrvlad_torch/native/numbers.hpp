@@ -122,16 +122,13 @@ double quick_sum(const float *values, Size count);
 double dot(const float *values, const float *others, Size count);
 double dot(const double *values, const double *others, Size count);
 
-// Adds to a target values times a factor; products; one value. Multiplies a target by values, and returns its sum
-// as of `quick_sum`; by a factor.
+// Adds to a target values times a factor; one value. Multiplies a target by values, and returns its sum as of
+// `quick_sum`; by a factor.
 void add(float *target, const float *values, float factor, Size count);
-void add_product(float *target, const float *values, const float *others, Size count);
 void raise(float *target, float value, Size count);
 double multiply(float *target, const float *values, Size count);
 void scale(float *target, float factor, Size count);
-// Makes a target of values, and of others times a factor, that are multiplied by weights, and returns its sum; of
-// values, at least so high, NONE where there is no score.
-double weighed(float *target, const float *values, const float *others, float factor, const float *weights, Size count);
+// Makes a target of values, at least so high, NONE where there is no score.
 void scored(float *target, const float *values, float least, const float *scores, Size count);
 
 // The highest of values; NONE without values.
