@@ -9,6 +9,7 @@ the platforms of `WHEELS` with ``ziglang``, and names one in ``SSRVLAD_WHEEL``.
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import importlib.util
 import os
@@ -175,4 +176,7 @@ def build_for_browsers(root: Path, module: Path) -> str:
 
 if __name__ == "__main__":
     ROOT = Path(__file__).resolve().parents[1]
-    sys.exit((build_for_browsers(ROOT, Path(sys.argv[1])) if sys.argv[1:] else build(ROOT)) or None)
+    parser = argparse.ArgumentParser(description="Compiles the native core in its place.")
+    parser.add_argument("module", type=Path, nargs="?", help="WebAssembly for browsers instead")
+    MODULE = parser.parse_args().module
+    sys.exit((build_for_browsers(ROOT, MODULE) if MODULE else build(ROOT)) or None)

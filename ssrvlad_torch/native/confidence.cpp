@@ -60,6 +60,7 @@ struct Peak {
 
 constexpr Size BLOCK = 128;  // values, of which none is a peak if their highest is too low
 
+// The highest of each block of values.
 std::vector<float> highs_of(const float *values, Size count) {
   std::vector<float> highs;
   for (Size first = 0; first < count; first += BLOCK)

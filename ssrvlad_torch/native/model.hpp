@@ -1,6 +1,7 @@
 // The numbers that shape where a query is said to be and how sure that is, and whether a frame of a live stream
 // closes a loop. `frames` are those of a query's sequence or of the stream, `rows` those of the map. Each number
-// says how it was obtained; half and twice of each are in docs/research/half-twice.csv and half-twice-loops.csv:
+// says how it was obtained; half and twice of those that are no grids and not defined are in
+// docs/research/half-twice.csv and half-twice-loops.csv:
 //
 //   defined   follows from what it means
 //   drives    chosen on every fifth of the real cases of the page on confidence and on cities 0 to 5
