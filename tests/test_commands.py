@@ -36,7 +36,7 @@ def test_the_steps_are_taken_and_reported(ssrvlad, database, maps):
     assert f"Without ground truth: {words}; in truth 0 wrong" in lines
     assert sure["score_is"] == "cosine" and sure["estimate"]["accepted"] == 6
     nothing = ssrvlad("query", database, maps, "--min-confidence", 1)[1].splitlines()
-    assert all("no candidate" in line for line in nothing)
+    assert all(": refused (confidence" in line for line in nothing)
     paper = ssrvlad("query", database, maps, "--as-paper", "--verbose")
     assert "temporal sum t = 3" in paper[2][-1]
 
@@ -109,7 +109,7 @@ def test_locate_takes_the_network_of_the_database(town, network, ssrvlad, refusa
     assert (found["picture"], found["place"], found["x"]) == ("photos/1", "photos/1", 1)
     assert found["score_is"] == "cosine" and found["score"] <= 1
     unsure = ssrvlad("locate", photos[0], "--in", town, "--min-confidence", 1)[1]
-    assert unsure.startswith("photos/1: no candidate (confidence 0.")
+    assert unsure.startswith("photos/1: refused (confidence 0.")
     network.write_text("network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 2]\n")
     assert "gives other label maps" in refusal("locate", photos[0], "--in", town)
 

@@ -3,6 +3,7 @@
 import io
 import json
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -64,10 +65,11 @@ def test_pictures_find_their_places(photographed, tmp_path):
     files = [tmp_path / "photos" / f"{number}.png" for number in range(8)]
     tracker = photographed.tracker()
     by_path = [tracker.update(file) for file in files]
-    assert [answer.query for answer in by_path] == [str(number) for number in range(8)]
+    assert [answer.query for answer in by_path] == [str(file) for file in files]
     assert [a.candidates[0].frame for a in by_path] == [f"photos/{n}" for n in range(8)]
     in_memory = photographed.tracker()
-    assert the_same(map(in_memory.update, read(files)), by_path)
+    numbered = [answer._replace(query=str(n)) for n, answer in enumerate(by_path)]
+    assert the_same(map(in_memory.update, read(files)), numbered)
     refuses(
         "expected images and a segmenter, got a label map", tracker.update, read(files)[0][..., 0]
     )
@@ -143,8 +145,30 @@ def test_pictures_whose_names_arrive_are_labelled_by_the_network_of_the_map(
     arrive(*(tmp_path / "photos" / f"{number}.png" for number in (2, 9, 5)))
     given = ("query", photographed.path, "-", "--follow", "online", "--top", 10**6, "--json")
     code, out, lines = ssrvlad(*given)
-    assert code == 3 and any("9.png" in line for line in lines)
+    assert code == 3 and sum("9.png" in line for line in lines) == 1
     answers = [json.loads(line) for line in out.splitlines()]
     assert [a["candidates"][0]["frame"] for a in answers] == ["photos/2", "photos/5"]
     assert [len(a["candidates"]) for a in answers] == [8, 8]
     assert answers[0]["settled"] is False and {*answers[0]["poses"][0]} == {"x", "y", "heading"}
+
+
+def test_a_frame_that_cannot_be_read_is_named_before_the_next_one_comes(
+    photographed, ssrvlad, monkeypatch, capsys, tmp_path
+):
+    until_next = []
+
+    def lines():
+        yield f"{tmp_path / 'none.png'}\n".encode()
+        until_next.append(capsys.readouterr().err)
+        yield f"{tmp_path / 'photos' / '2.png'}\n".encode()
+
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=lines()))
+    code, out, err = ssrvlad("query", photographed.path, "-", "--follow", "online")
+    assert code == 3 and out.startswith("photos/2: ")
+    assert "none.png" in until_next[0] and not any("none.png" in line for line in err)
+
+
+def test_no_name_on_standard_input_is_refused(photographed, refusal, arrive):
+    arrive()
+    line = refusal("query", photographed.path, "-", "--follow", "online")
+    assert line == "ssrvlad: expected names of files, one a line, got none"

@@ -64,7 +64,8 @@ WRONG_USES = [
     (f"encode monday {NONE} --engine ray --gpus 1", "--gpus needs --engine ray and --segmenter"),
     (f"encode jpegs {NONE} --segmenter net.yaml --gpus 1", "--gpus needs --engine ray and"),
     # query
-    ("query town.ssrdb monday --top 0", "'--top': Input should be greater than or equal to 1"),
+    ("query town.ssrdb monday --top 0", "Input should be greater than or equal to 1, got 0"),
+    ("query town.ssrdb monday --follow on", "'--follow': 'on' is not one of 'offline'"),
     ("query town.ssrdb monday --min-confidence nan", "'--min-confidence': Input should be less"),
     ("query town.ssrdb monday --max-wrong 0.1 --min-confidence 0.5", "--min-confidence"),
     ("query bare.ssrdb monday", "bare.ssrdb holds no frames yet"),

@@ -4,7 +4,7 @@
 //     ssrvlad::Map town("town.npy", place.fingerprints());
 //     ssrvlad::Tracker tracker(town);  // a sequence while it comes
 //     const auto answer = tracker.update(place.describe(pixels, height, width));
-//     if (answer->found() && answer->confidence > 0.9F) std::cout << answer->candidates[0].pose.x;
+//     if (answer->found() && answer->confidence >= 0.9F) std::cout << answer->candidates[0].pose.x;
 //     const auto answers = town.query(sequence);  // all described frames of another one, in order
 //
 // C++17, over the core alone. Errors are std::runtime_error, or

@@ -184,7 +184,7 @@ def channel_of(kind: type[Channel], head: SSRVLAD, network: Network | None) -> C
     """The channel of a kind of frames that a network labels, or of label maps without one; a
     ValueError if they do not have it."""
     if problem := kind.lacks(network):
-        raise ValueError(problem)
+        raise ValueError(problem if network else f"{problem}, got label maps")
     if network is None or FEATURES not in kind.needs:
         return kind.of(head, "")
     return kind.of(head, network.fingerprint_of_features)

@@ -8,6 +8,7 @@ import re
 import signal
 import sys
 import warnings
+from typing import Any
 
 WRONG_USE = 2
 INTERRUPTED = 128 + signal.SIGINT
@@ -65,7 +66,7 @@ def _run(arguments: list[str], debug: bool) -> int:
     except typer.Abort:
         return INTERRUPTED
     except typer.TyperException as error:
-        note(error.format_message())
+        note(_refusal(error))
     except (KeyboardInterrupt, GeneratorExit):
         raise
     except BaseException as error:  # also a panic of Lance
@@ -76,6 +77,13 @@ def _run(arguments: list[str], debug: bool) -> int:
             traceback.print_exception(error)
         note(message or f"an error in ssrvlad itself: {error!r}")
     return WRONG_USE
+
+
+def _refusal(error: Any) -> str:
+    """The message of wrong use, with the value that was got."""
+    message = str(error.format_message()).replace("Value error, ", "").rstrip(".")
+    problems = getattr(error.__cause__, "errors", list)()  # of pydantic
+    return f"{message}, got {problems[0]['input']}" if problems else message
 
 
 def _sentence(error: BaseException) -> str | None:

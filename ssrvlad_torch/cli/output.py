@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from ..encoding.results import Skipped
 
-SOME_SKIPPED = 3
-"""Exit code of a command that finished with some inputs skipped."""
+SOME_SKIPPED, ALL_SKIPPED = 3, 2
+"""Exit codes of a command that finished with some inputs skipped, and where none was usable."""
 
 _WIDE = 200
 _NAMED = 20
@@ -166,15 +166,24 @@ def weights_in_words(weights: Sequence[Mapping[str, float]]) -> list[str]:
     return [f"fused: {' + '.join(names)}"]
 
 
-def finish(skipped: Sequence[Skipped], described: int | None = None) -> None:
-    """Ends a command. If inputs were skipped, names them and exits with code 3. ``described`` is
-    the number of frames that the command described, ``None`` if it describes none; if it is 0 and
-    the label space is the reason, a note asks for ``--labels-as``."""
+def note_skipped(frame: Skipped) -> None:
+    """Names a skipped frame."""
+    note(f"skipped {frame.frame}: {frame.reason}")
+
+
+def finish(
+    skipped: Sequence[Skipped], described: int | None = None, are_named: bool = False
+) -> None:
+    """Ends a command. If inputs were skipped, names them, unless they are named already, and exits
+    with code 3, or 2 if no frame could be described. ``described`` is the number of frames that the
+    command described, ``None`` if it describes none; if it is 0 and the label space is the reason,
+    a note asks for ``--labels-as``."""
     if skipped and described == 0 and all("label space" in frame.reason for frame in skipped):
         note("no frame could be described: is --labels-as the label space of these label maps?")
-    for frame in skipped[:_NAMED]:
-        note(f"skipped {frame.frame}: {frame.reason}")
-    if len(skipped) > _NAMED:
-        note(f"skipped {len(skipped) - _NAMED} more")
+    unnamed = () if are_named else skipped
+    for frame in unnamed[:_NAMED]:
+        note_skipped(frame)
+    if len(unnamed) > _NAMED:
+        note(f"skipped {len(unnamed) - _NAMED} more")
     if skipped:
-        raise typer.Exit(SOME_SKIPPED)
+        raise typer.Exit(ALL_SKIPPED if described == 0 else SOME_SKIPPED)

@@ -23,9 +23,16 @@ if TYPE_CHECKING:
     from ..search.answers import Answer, Answers
 
 
-def print_answer(answer: Answer, verbose: bool, as_json: bool, of: Answers | None = None) -> None:
+def print_answer(
+    answer: Answer,
+    verbose: bool,
+    as_json: bool,
+    of: Answers | None = None,
+    exists: bool = False,
+) -> None:
     """Prints the candidates of a query, the confidence, and the pose of the first; with
-    ``verbose`` and in JSON the scores too, in JSON all poses and, of several answers, the steps."""
+    ``verbose`` and in JSON the scores too, in JSON all poses and, of several answers, the steps.
+    ``exists``: it has candidates, which are refused if the answer has none."""
     if as_json:
         facts = answer.as_json()
         if of:
@@ -40,7 +47,8 @@ def print_answer(answer: Answer, verbose: bool, as_json: bool, of: Answers | Non
         words += [f"x {pose.x:.1f} m, y {pose.y:.1f} m"]
         if not math.isnan(pose.heading):
             words += [f"heading {math.degrees(pose.heading):.0f} degrees"]
-    say(f"{answer.query}: {', '.join(frames) or 'no candidate'} ({', '.join(words)})")
+    nothing = "refused" if exists else "no candidate"
+    say(f"{answer.query}: {', '.join(frames) or nothing} ({', '.join(words)})")
 
 
 def place_in_json(answer: Answer, of: Answers) -> dict[str, Any]:

@@ -126,11 +126,11 @@ class Database:
         not exist, was made by another version of the method, or cannot be read is a ValueError,
         which says which version can be read."""
         text, folder = str(path), Path(path)
-        if folder.is_dir() and (links := [*filter(Path.is_symlink, folder.iterdir())]):
-            raise ValueError(f"{links[0]} is a link; expected a folder of the database")
         if not cls.exists(path) and not is_uri(text):
             problem = "is not a database" if folder.exists() else "does not exist"
-            raise ValueError(f"{text} {problem}")
+            raise ValueError(f"{text} {problem}; expected a folder that ssrvlad encode wrote")
+        if folder.is_dir() and (links := [*filter(Path.is_symlink, folder.iterdir())]):
+            raise ValueError(f"{links[0]} is a link; expected a folder of the database")
         try:
             table = engine.open_table(text, version)
         except OSError as error:

@@ -211,7 +211,10 @@ def _labelling(
         raise ValueError(f"{named.name} does not name its classes; give --labels-as")
     labels_as = labels_as or _space_of_database(database, compared)
     if labels_as is None and not images:
-        raise ValueError("expected the label space of the label maps, --labels-as, got none")
+        raise ValueError(
+            "expected the label space of the label maps, --labels-as, or a network for pictures, "
+            "--segmenter, got none"
+        )
     if named and labels_as is not None:
         cache = Path(selection.segmenter_cache) if selection.segmenter_cache else cache_folder()
         segmenter = Segmenter.load(named, labels_as, cache)

@@ -42,7 +42,7 @@ class Tracker:
         >>> tracker = town.tracker()  # doctest: +SKIP
         >>> for picture in camera:  # doctest: +SKIP
         ...     answer = tracker.update(picture)
-        ...     if answer.confidence > 0.9:
+        ...     if answer.confidence >= 0.9:
         ...         print(answer.candidates[0].pose)
     """
 
@@ -81,14 +81,16 @@ class Tracker:
         self, frame: Picture | LabelMap | View, name: str | None = None, stamp: float | None = None
     ) -> Answer | None:
         """Takes the next frame, a picture, see `Map.locate`, a label map ``(H, W)`` of integers, or
-        a `View` with what the channels need. ``name`` is what the answer calls it, by default its
-        number from 0; ``stamp`` is a time that the answer repeats.
+        a `View` with what the channels need. ``name`` is what the answer calls it, by default the
+        path of a file, else its number from 0; ``stamp`` is a time that the answer repeats.
 
         Returns the answer to it; with a delay that to the frame so many before, ``None`` if there
         is none yet. A missing file is a FileNotFoundError; what is no picture and no label map, and
         a label map where channels need pictures, are a ValueError, after which the tracker can go
         on."""
-        name = str(self._tracker.count) if name is None else name
+        if name is None:
+            is_file = isinstance(frame, str | os.PathLike)
+            name = os.fspath(frame) if is_file else str(self._tracker.count)  # type: ignore[arg-type]
         view = self._view(frame, name)
         described = {
             channel.column.name: channel.describe([view], self.columns)[0].numpy()

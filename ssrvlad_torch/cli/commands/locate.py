@@ -26,11 +26,11 @@ def locate(
     frames = town.source(source, compared=True, images=True, note=note)
     with progress_bar("encoding", len(frames.files), "recognising") as bar:
         places = town.query(frames, top=1, single=True, progress=bar.advance, **vars(answers))
-    for answer in places:
+    for answer, exists in zip(places, places.exist, strict=True):
         if as_json:
             print_json(place_in_json(answer, places))
         else:
-            print_answer(answer, verbose, as_json)
+            print_answer(answer, verbose, as_json, exists=exists)
     if not as_json:
         print_estimate(places, verbose)
     finish(places.skipped, len(places))

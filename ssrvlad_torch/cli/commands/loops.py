@@ -14,7 +14,7 @@ from ...evaluation.loops import EVEN
 from ...evaluation.metrics import fraction
 from ...loops.config import LoopConfig
 from ..options import Json, MaybePreset, StoredChannels, option
-from ..output import finish, note, print_json, say, weights_in_words
+from ..output import finish, note, note_skipped, print_json, say, weights_in_words
 
 if TYPE_CHECKING:
     from ...encoding.results import Skipped
@@ -80,7 +80,7 @@ def loops(
             check_folders(opened.files, database.known())
         files = [file for file in opened.files if file.frame not in before]
         frames = encode(describer, files, source.workers, network)
-    results, skipped = _printed(stream.detect_loops(detector, frames, database), as_json)
+    results, skipped = _printed(stream.detect_loops(detector, frames, database), as_json, live)
     if results or skipped or as_json or not len(detector):
         summary = stream.report(detector, results, tolerance_metres)
         _print_report(summary, results, config, as_json)
@@ -94,13 +94,14 @@ def loops(
         title = ", ".join(dict.fromkeys(sequences))
         drawn = draw_loops(pairs, detector.poses, title, tolerance_metres, sequences, candidates)
         write_picture(drawn, picture)
-    finish(skipped, len(results))
+    finish(skipped, len(results), are_named=live)
 
 
 def _printed(
-    outcomes: Generator[LoopResult | Skipped], as_json: bool
+    outcomes: Generator[LoopResult | Skipped], as_json: bool, live: bool
 ) -> tuple[list[LoopResult], list[Skipped]]:
-    """The results and the skipped frames of a stream; each result is printed as it comes."""
+    """The results and the skipped frames of a stream; each result is printed as it comes, and if
+    they come ``live``, each skipped frame."""
     from ...encoding.results import Skipped
 
     results: list[LoopResult] = []
@@ -109,6 +110,8 @@ def _printed(
         for result in outcomes:
             if isinstance(result, Skipped):
                 skipped.append(result)
+                if live:
+                    note_skipped(result)
                 continue
             results.append(result)
             if as_json:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from ...encoding.selection import STDIN, FrameSelection
 from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, Verbose, option
-from ..output import finish, note, progress_bar
+from ..output import finish, note, note_skipped, progress_bar
 
 if TYPE_CHECKING:
     from ...map import Map
@@ -71,8 +71,8 @@ def query(
     with progress_bar("encoding", len(frames.files), "recognising") as bar:
         settings = {**recognition.settings(), "sequences": from_sequence, "exclude": exclude}
         answers = town.query(frames, top=top, progress=bar.advance, **settings)
-    for answer in answers:
-        print_answer(answer, verbose, as_json, answers)
+    for answer, exists in zip(answers, answers.exist, strict=True):
+        print_answer(answer, verbose, as_json, answers, exists)
     if picture:
         write_picture(town.draw(answers, frames), picture)
     if not as_json:
@@ -98,8 +98,10 @@ def _track(
     for answer in town.track(source, names, *settings, note=note):
         if isinstance(answer, Skipped):
             skipped.append(answer)
+            note_skipped(answer)
             continue
         answered += 1
-        sure = answer.confidence >= recognition.min_confidence
-        print_answer(answer if sure else answer._replace(candidates=[]), verbose, as_json)
-    finish(skipped, answered)
+        sure, exists = answer.confidence >= recognition.min_confidence, bool(answer.candidates)
+        shown = answer if sure else answer._replace(candidates=[])
+        print_answer(shown, verbose, as_json, exists=exists)
+    finish(skipped, answered, are_named=True)
