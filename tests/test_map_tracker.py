@@ -168,7 +168,7 @@ def test_a_frame_that_cannot_be_read_is_named_before_the_next_one_comes(
     assert "none.png" in until_next[0] and not any("none.png" in line for line in err)
 
 
-def test_no_name_on_standard_input_is_refused(photographed, refusal, arrive):
+def test_no_name_on_standard_input_is_said(photographed, ssrvlad, arrive):
     arrive()
-    line = refusal("query", photographed.path, "-", "--follow", "online")
-    assert line == "ssrvlad: expected names of files, one a line, got none"
+    code, out, lines = ssrvlad("query", photographed.path, "-", "--follow", "online")
+    assert (code, out, lines[-1]) == (0, "", "ssrvlad: no name came on standard input")

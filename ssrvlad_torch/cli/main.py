@@ -82,7 +82,7 @@ def _run(arguments: list[str], debug: bool) -> int:
 def _refusal(error: Any) -> str:
     """The message of wrong use, with the value that was got."""
     message = str(error.format_message()).replace("Value error, ", "").rstrip(".")
-    problems = getattr(error.__cause__, "errors", list)()  # of pydantic
+    problems: list[Any] = getattr(error.__cause__, "errors", list)()  # of pydantic
     return f"{message}, got {problems[0]['input']}" if problems else message
 
 

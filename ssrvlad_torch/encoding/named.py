@@ -27,7 +27,7 @@ def encode_names(
     """Encodes files one by one, each as soon as the line with its name arrives; empty lines and the
     frames that are ``left_out`` are ignored. A ``poses.csv`` in or beside a file's folder is read
     once. The sequence is named by the folder, as in the database. A segmenter labels images; else
-    the files are label maps. No name is a ValueError."""
+    the files are label maps."""
     records, folders = (database.known(), database.folders()) if database else ({}, set())
     projection = Projection(functools.partial(pose_in, database))
     find = functools.cache(lambda folder: PoseTable.of_folder(folder, projection))
@@ -38,7 +38,6 @@ def encode_names(
         folders.add((folder, name))
         return name
 
-    path = None
     for line in names:
         if not line.strip():
             continue
@@ -55,5 +54,3 @@ def encode_names(
             yield Skipped(frame, str(error))
             continue
         yield from encode(describer, posed, 1, segmenter)
-    if path is None:
-        raise ValueError("expected names of files, one a line, got none")

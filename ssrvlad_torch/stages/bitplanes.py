@@ -56,7 +56,11 @@ def neighbours(planes: Tensor) -> tuple[Tensor, ...]:
     """The eight neighbours of every pixel: N, NE, E, SE, S, SW, W, NW, each ``(B, H, W)``.
 
     This is the order p2 ... p9 of the thinning papers. What is outside the image is background."""
-    padded = F.pad(planes, (1, 1, 1, 1))
+    return neighbours_in(F.pad(planes, (1, 1, 1, 1)))
+
+
+def neighbours_in(padded: Tensor) -> tuple[Tensor, ...]:
+    """The same of planes with a margin of one pixel, ``(B, H + 2, W + 2)``."""
     before, here, after = slice(-2), slice(1, -1), slice(2, None)
     above, level, below = padded[:, before], padded[:, here], padded[:, after]
     return (

@@ -3,17 +3,21 @@
 Both variants delete, in two alternating sub-iterations, the pixels whose eight neighbours
 p2 ... p9 (N, NE, E, SE, S, SW, W, NW) satisfy the published conditions, until neither
 sub-iteration deletes anything. The second is the first with the neighbours turned by half a circle.
-What is outside the image is background."""
+What is outside the image is background.
+
+ONNX Runtime takes as long for an operation on a byte as on a word. In an exported graph a word has
+three pixels: the image is cut into three strips of rows, which lie in the bytes of one int32."""
 
 from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import and_, or_
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
-from .bitplanes import neighbours, steps_around, two_or_more
-from .tracing import repeat_while
+from .bitplanes import neighbours, neighbours_in, steps_around, two_or_more
+from .tracing import exporting, repeat_while
 
 Rule = Callable[[Tensor, Sequence[Tensor]], Tensor]
 """A variant of thinning: of bit-planes and their neighbours p2 ... p9, the pixels that remain after
@@ -23,13 +27,39 @@ the first sub-iteration."""
 def thin(planes: Tensor, rule: Rule) -> Tensor:
     """The skeletons of bit-planes ``(B, H, W)`` uint8 by the rule `zhang_suen` or `guo_hall`."""
 
-    def iteration(planes: Tensor) -> tuple[Tensor, Tensor]:
-        first = rule(planes, neighbours(planes))
-        ring = neighbours(first)
-        second = rule(first, (*ring[4:], *ring[:4]))
-        return (planes ^ second).flatten().amax(0).int() > 0, second
+    around = _neighbours_in_strips if exporting() else neighbours
 
-    return repeat_while(torch.ones((), dtype=torch.bool), iteration, planes)[0]
+    def iteration(pixels: Tensor) -> tuple[Tensor, Tensor]:
+        first = rule(pixels, around(pixels))
+        ring = around(first)
+        second = rule(first, (*ring[4:], *ring[:4]))
+        return (pixels ^ second).flatten().amax(0).int() > 0, second
+
+    pixels = _in_strips(planes) if exporting() else planes
+    (pixels,) = repeat_while(torch.ones((), dtype=torch.bool), iteration, pixels)
+    return _from_strips(pixels, planes) if exporting() else pixels
+
+
+_BYTES = (1, 1 << 8, 1 << 16)
+"""What the bytes of a word count: the first has the uppermost strip."""
+
+
+def _in_strips(planes: Tensor) -> Tensor:
+    rows = (planes.shape[1] + 2) // 3
+    padded = F.pad(planes, (0, 0, 0, 2)).int()
+    strips = [padded[:, strip * rows : (strip + 1) * rows] for strip in range(3)]
+    return reduce(or_, (strip * byte for strip, byte in zip(strips, _BYTES, strict=True)))
+
+
+def _from_strips(words: Tensor, planes: Tensor) -> Tensor:
+    strips = [words // byte & 255 for byte in _BYTES]
+    return torch.cat(strips, 1)[:, : planes.shape[1]].to(torch.uint8)
+
+
+def _neighbours_in_strips(words: Tensor) -> tuple[Tensor, ...]:
+    """The last row of a strip is above the first one of the next."""
+    above, below = (words[:, -1:] & 0xFFFF) * 256, words[:, :1] // 256
+    return neighbours_in(F.pad(torch.cat([above, words, below], 1), (1, 1)))
 
 
 def zhang_suen(pixels: Tensor, ring: Sequence[Tensor]) -> Tensor:

@@ -104,4 +104,6 @@ def _track(
         sure, exists = answer.confidence >= recognition.min_confidence, bool(answer.candidates)
         shown = answer if sure else answer._replace(candidates=[])
         print_answer(shown, verbose, as_json, exists=exists)
+    if not answered and not skipped:
+        note("no name came on standard input")
     finish(skipped, answered, are_named=True)
