@@ -140,11 +140,6 @@ class Answers:
             candidates = candidates_of(self.references, scores, rows)
             yield Answer(query, candidates, kind, sure, settled=settled)
 
-    @property
-    def exist(self) -> list[bool]:
-        """Whether each query has candidates, which may be refused."""
-        return (self.recognised.matches.indices[:, 0] >= 0).tolist()
-
     def __repr__(self) -> str:
         return f"<Answers: {len(self)} queries, {self.estimate.accepted} accepted>"
 

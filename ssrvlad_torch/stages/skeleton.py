@@ -19,6 +19,9 @@ from torch import Tensor
 from .bitplanes import neighbours, neighbours_in, steps_around, two_or_more
 from .tracing import exporting, repeat_while
 
+_BYTES = (1, 1 << 8, 1 << 16)
+"""What the bytes of a word count: the first has the uppermost strip."""
+
 Rule = Callable[[Tensor, Sequence[Tensor]], Tensor]
 """A variant of thinning: of bit-planes and their neighbours p2 ... p9, the pixels that remain after
 the first sub-iteration."""
@@ -26,8 +29,13 @@ the first sub-iteration."""
 
 def thin(planes: Tensor, rule: Rule) -> Tensor:
     """The skeletons of bit-planes ``(B, H, W)`` uint8 by the rule `zhang_suen` or `guo_hall`."""
+    if exporting():
+        return _from_strips(_thinned(_in_strips(planes), rule, _neighbours_in_strips), planes)
+    return _thinned(planes, rule, neighbours)
 
-    around = _neighbours_in_strips if exporting() else neighbours
+
+def _thinned(pixels: Tensor, rule: Rule, around: Callable[[Tensor], Sequence[Tensor]]) -> Tensor:
+    """The skeletons of pixels in bytes or words, of which ``around`` gives the neighbours."""
 
     def iteration(pixels: Tensor) -> tuple[Tensor, Tensor]:
         first = rule(pixels, around(pixels))
@@ -35,13 +43,7 @@ def thin(planes: Tensor, rule: Rule) -> Tensor:
         second = rule(first, (*ring[4:], *ring[:4]))
         return (pixels ^ second).flatten().amax(0).int() > 0, second
 
-    pixels = _in_strips(planes) if exporting() else planes
-    (pixels,) = repeat_while(torch.ones((), dtype=torch.bool), iteration, pixels)
-    return _from_strips(pixels, planes) if exporting() else pixels
-
-
-_BYTES = (1, 1 << 8, 1 << 16)
-"""What the bytes of a word count: the first has the uppermost strip."""
+    return repeat_while(torch.ones((), dtype=torch.bool), iteration, pixels)[0]
 
 
 def _in_strips(planes: Tensor) -> Tensor:

@@ -20,17 +20,18 @@ def locate(
     Example: ssrvlad locate photos/today/000002.png --in photos.ssrdb --near 12.5,-3,50
     """
     from ...map import Map
+    from ...search.answers import answered
     from ..summaries import place_in_json, print_answer, print_estimate
 
     town = Map.open(database)
     frames = town.source(source, compared=True, images=True, note=note)
     with progress_bar("encoding", len(frames.files), "recognising") as bar:
         places = town.query(frames, top=1, single=True, progress=bar.advance, **vars(answers))
-    for answer, exists in zip(places, places.exist, strict=True):
+    for answer, exists in zip(places, answered(places.recognised.sure), strict=True):
         if as_json:
             print_json(place_in_json(answer, places))
         else:
-            print_answer(answer, verbose, as_json, exists=exists)
+            print_answer(answer, verbose, as_json, exists=bool(exists))
     if not as_json:
         print_estimate(places, verbose)
     finish(places.skipped, len(places))

@@ -94,7 +94,7 @@ def loops(
         title = ", ".join(dict.fromkeys(sequences))
         drawn = draw_loops(pairs, detector.poses, title, tolerance_metres, sequences, candidates)
         write_picture(drawn, picture)
-    finish(skipped, len(results), are_named=live)
+    finish(skipped, len(detector), are_named=live)
 
 
 def _printed(

@@ -48,6 +48,7 @@ def query(
     """
     from ...files import require_picture, write_picture
     from ...map import Map
+    from ...search.answers import answered
     from ..summaries import print_answer, print_estimate
 
     if picture:
@@ -71,8 +72,8 @@ def query(
     with progress_bar("encoding", len(frames.files), "recognising") as bar:
         settings = {**recognition.settings(), "sequences": from_sequence, "exclude": exclude}
         answers = town.query(frames, top=top, progress=bar.advance, **settings)
-    for answer, exists in zip(answers, answers.exist, strict=True):
-        print_answer(answer, verbose, as_json, answers, exists)
+    for answer, exists in zip(answers, answered(answers.recognised.sure), strict=True):
+        print_answer(answer, verbose, as_json, answers, bool(exists))
     if picture:
         write_picture(town.draw(answers, frames), picture)
     if not as_json:
@@ -94,16 +95,16 @@ def _track(
 
     names = map(os.fsdecode, sys.stdin.buffer)
     settings = recognition.steps(), top, recognition.near, recognition.channels
-    answered, skipped = 0, []
+    count, skipped = 0, []
     for answer in town.track(source, names, *settings, note=note):
         if isinstance(answer, Skipped):
             skipped.append(answer)
             note_skipped(answer)
             continue
-        answered += 1
+        count += 1
         sure, exists = answer.confidence >= recognition.min_confidence, bool(answer.candidates)
         shown = answer if sure else answer._replace(candidates=[])
         print_answer(shown, verbose, as_json, exists=exists)
-    if not answered and not skipped:
+    if not count and not skipped:
         note("no name came on standard input")
-    finish(skipped, answered, are_named=True)
+    finish(skipped, count, are_named=True)
