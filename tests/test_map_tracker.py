@@ -88,7 +88,7 @@ def test_a_tracker_goes_on_from_a_file_with_the_names_that_wait(drawn, tmp_path)
     for content in (b"", b"[]", b"[1]\n", b"\xff\n", (tmp_path / "state").read_bytes()[:-1]):
         (tmp_path / "damaged").write_bytes(content)
         refuses(
-            "damaged: no state of a tracker of this map",
+            "damaged: no state to go on from: ",
             drawn.tracker(LATE).load,
             tmp_path / "damaged",
         )

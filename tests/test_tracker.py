@@ -103,18 +103,18 @@ def test_a_state_is_of_its_map_and_its_settings_and_whole():
     changed.add("s", np.zeros((sum(ROWS), 6, 2, 8), np.uint8), 6.0)
     damaged = bytearray(state)
     damaged[len(state) // 2] ^= 1
-    for other, content in (
-        (DescriptorTracker(smaller), state),
-        (DescriptorTracker(changed), state),
-        (DescriptorTracker(town, allowed=np.arange(sum(ROWS)) > 50), state),
-        (DescriptorTracker(town, delay=1), state),
-        (DescriptorTracker(town, sweep=False), state),
-        (DescriptorTracker(town), state[:-9]),
-        (DescriptorTracker(town), bytes(damaged)),
-        (DescriptorTracker(town), b""),
-        (tracker, state),
+    for other, content, expected in (
+        (DescriptorTracker(smaller), state, "this map"),
+        (DescriptorTracker(changed), state, "this map"),
+        (DescriptorTracker(town, allowed=np.arange(sum(ROWS)) > 50), state, "these steps"),
+        (DescriptorTracker(town, delay=1), state, "these steps"),
+        (DescriptorTracker(town, sweep=False), state, "these steps"),
+        (DescriptorTracker(town), state[:-9], "a whole state"),
+        (DescriptorTracker(town), bytes(damaged), "a whole state"),
+        (DescriptorTracker(town), b"", "a whole state"),
+        (tracker, state, "a tracker that has taken no frame"),
     ):
-        with pytest.raises(ValueError, match="expected a whole state of a tracker of this map"):
+        with pytest.raises(ValueError, match=f"expected .*{expected}"):
             other.load(content)
 
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes docs/evaluation/scale-pictures.csv and scale-drives.csv: large maps of pictures.
+"""Writes docs/evaluation/scale-pictures.csv, scale-drives.csv and scale-labels.csv: large maps.
 
     .venv/bin/python scripts/pages/scale.py --frames 100000 --folder /data
 
@@ -7,7 +7,7 @@ Real rows stand among made-up ones of their statistics. A made-up row is made of
 patch by patch of the picture: label shapes category by category, with noise, and with every
 sixteenth sign of features changed. Every step runs in a new process with one thread, so that its
 memory and its time are not mixed with others. Results stay in the folder, and a second run resumes.
-The script needs eight kilobytes a frame on disk and, for exact search, the same in memory.
+The script needs ten kilobytes a frame on disk and, for exact search, eight in memory.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from _described import FEATURES, OURS, Described
 from _markdown import ROOT, Page, head_row, row
 from torch import Tensor
 
-from ssrvlad_torch import Database, SSRVLADConfig
+from ssrvlad_torch import Database, SSRVLADConfig, match
 from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.database.frames import FrameRecord, FrameSet
@@ -43,6 +43,7 @@ from ssrvlad_torch.search.index import build, read_rows
 from ssrvlad_torch.search.shortlist import Shortlist
 from ssrvlad_torch.stages.features import FORM
 
+CONFIG = SSRVLADConfig.from_preset("default", labels_as="cityscapes-trainids")
 DATA, NETWORK = ROOT.parent / "shared" / "data", "espnetv2"
 REFERENCES = ("uofa/day", "gardens_walk/day_left")
 QUERIES = ("uofa/evening", "gardens_walk/day_right", "gardens_walk/night_right")
@@ -70,6 +71,7 @@ def main() -> None:
     page = Page("evaluation/speed.md", options.output)
     page.table("scale-pictures", pictures(results))
     page.table("scale-drives", drives(results))
+    page.table("scale-labels", label_maps(results))
 
 
 def run_all(frames: int, folder: Path) -> dict[str, Report]:
@@ -148,17 +150,26 @@ def made_up(first: int, count: int, real: Channels) -> Channels:
     return {**units, "features": torch.from_numpy(mixed)}
 
 
-def opened(frames: int, folder: Path) -> Database:
+def path_of(frames: int, folder: Path, kind: str = "pictures") -> Path:
+    """Where the database of so many frames is."""
+    return folder / f"{frames}.{kind}.ssrdb"
+
+
+def opened(frames: int, folder: Path, kind: str = "pictures") -> Database:
     """The database of so many frames."""
-    return Database.open(folder / f"{frames}.pictures.ssrdb")
+    return Database.open(path_of(frames, folder, kind))
+
+
+def bytes_of(path: Path) -> int:
+    """What a database takes on disk."""
+    return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
 
 
 def write(frames: int, folder: Path) -> Report:
     """The real references, and made-up rows up to the number of frames."""
-    real, path = real_rows(folder), folder / f"{frames}.pictures.ssrdb"
-    config = SSRVLADConfig.from_preset("default", labels_as="cityscapes-trainids")
+    real, path = real_rows(folder), path_of(frames, folder)
     columns = [Features(FORM).column, HOG().column]
-    database = Database.open_or_create(path, config, columns)
+    database = Database.open_or_create(path, CONFIG, columns)
     known = len(real["hog"])
     if not len(database):
         database.append([FrameRecord("real", f"{n:07d}", n, 0.0) for n in range(known)], real)
@@ -170,8 +181,44 @@ def write(frames: int, folder: Path) -> Report:
         ]
         database.append(records, made_up(first, count, real))
     database.compact(keep_days=0)
-    size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
-    return {"bytes": size, "real": known}
+    return {"bytes": bytes_of(path), "real": known}
+
+
+def write_labels(frames: int, folder: Path) -> Report:
+    """The label maps of these rows in a database of their own, as `encode` commits them."""
+    path = path_of(frames, folder, "labels")
+    pictures, labels = opened(frames, folder), Database.open_or_create(path, CONFIG)
+    known, stored = pictures.placed()
+    begun, cpu = len(labels), 0.0
+    for first in range(begun, frames, BLOCK):
+        part = slice(first, first + BLOCK)
+        vectors = read_rows(pictures, stored[part], labels.columns)
+        spent = time.process_time()
+        labels.append(known.frames[part], vectors)
+        cpu += time.process_time() - spent
+    labels.compact(keep_days=0)
+    return {"bytes": bytes_of(path), "cpu": cpu * frames / (frames - begun)}
+
+
+def verify_labels(frames: int, folder: Path) -> Report:
+    """Every row of label maps."""
+    assert not opened(frames, folder, "labels").damage()
+    return {}
+
+
+def search_labels(frames: int, folder: Path) -> Report:
+    """Label maps in memory, searched by all queries at once, and by some alone."""
+    queries = described(folder, QUERIES)["ssr-vlad"][:, COLUMNS.index(0)]
+    began = time.process_time()
+    references = opened(frames, folder, "labels").load().descriptors
+    loaded = time.process_time()
+    match(queries, references, TOP)
+    searched = time.process_time()
+    for query in queries[:AT_ONCE]:
+        match(query[None], references, TOP)
+    alone = time.process_time() - searched
+    at_once = (searched - loaded) / len(queries)
+    return {"loading": loaded - began, "at once": at_once, "one": alone / AT_ONCE}
 
 
 def index(frames: int, folder: Path) -> Report:
@@ -297,6 +344,9 @@ STEPS: dict[str, Callable[[int, Path], Report]] = {
     "together": exact,
     "drives": followed,
     "drives together": followed_exactly,
+    "labels": write_labels,
+    "labels verified": verify_labels,
+    "labels searched": search_labels,
 }
 
 
@@ -347,6 +397,22 @@ def drives(results: dict[int, dict[str, Report]]) -> Iterator[str]:
                 f"{frames:,}", name, f"{len(first)}", f"{of['rate']:.1f}", *same[:3], f"{real:.3f}",
                 same[3], f"{reports['drives']['peak'] / 1e9:.2f}",
             )  # fmt: skip
+
+
+def label_maps(results: dict[int, dict[str, Report]]) -> Iterator[str]:
+    """A row for each number of frames."""
+    yield from head_row(
+        "frames", "written, CPU s", "verified, CPU s", "loaded, CPU s", "query of many, CPU ms",
+        "query alone, CPU ms", "peak GB", "bytes a frame",
+    )  # fmt: skip
+    for frames, reports in results.items():
+        written, searched = reports["labels"], reports["labels searched"]
+        yield row(
+            f"{frames:,}", f"{written['cpu']:.0f}", f"{reports['labels verified']['cpu']:.1f}",
+            f"{searched['loading']:.1f}", f"{1e3 * searched['at once']:.1f}",
+            f"{1e3 * searched['one']:.0f}", f"{searched['peak'] / 1e9:.2f}",
+            f"{written['bytes'] / frames:.0f}",
+        )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -94,4 +94,6 @@ def _sentence(error: BaseException) -> str | None:
         return f"an input is nested too deeply: {error}"
     if isinstance(error, MemoryError) or re.search("allocate memory|start new thread", str(error)):
         return f"out of memory: {error}".removesuffix(": ")
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
     return str(error) if isinstance(error, ValueError | OSError | ImportError) else None

@@ -173,7 +173,7 @@ class Filter {
                                   Floats memory = {}) const;
 
   // The future from the last belief, and from an earlier one by the later rows and their future; `last` if the
-  // belief cannot lead there. In the first way: the filter should have one.
+  // belief cannot lead there. The filter must have one way, which is not checked.
   Future last(const Belief &belief, const Likelihood &likelihood) const;
   std::pair<Future, Smoothed> before(const Belief &belief, const Likelihood &likelihood, const Rows &later,
                                      const Future &future, Floats memory = {}) const;

@@ -8,7 +8,7 @@
 namespace places {
 
 namespace {
-constexpr Size STATE = 4;  // what a state holds, and how; it rises with every change
+constexpr Size STATE = 5;  // what a state holds, and how; it rises with every change
 constexpr double NO_ANSWER = std::numeric_limits<double>::quiet_NaN();
 
 bool same(const Course &one, const Course &other) {
@@ -223,32 +223,36 @@ void Tracker::judge(const Chances &chances, Places &places, Answer &answer) {
   answer.together = {static_cast<float>(together)};
 }
 
-// Of the map, its rows, and the steps.
-std::uint64_t Tracker::digest() const {
-  const Size steps[] = {STATE, top_, delay_, standardised_, swept_};
-  return digest_of(allowed_.data(), allowed_.size(), digest_of(steps, sizeof steps, map_.digest()));
+std::uint64_t Tracker::digest_of_steps() const {
+  const Size steps[] = {top_, delay_, standardised_, swept_};
+  return digest_of(allowed_.data(), allowed_.size(), digest_of(steps, sizeof steps, 0));
 }
 
-// The state, and after it the digest of all this.
+// The state, and after it the digests of the map, of the steps, and of all this.
 std::vector<std::uint8_t> Tracker::save() {
   std::vector<std::uint8_t> bytes;
   Archive archive(bytes);
   keep(archive);
-  std::uint64_t digest = digest_of(bytes.data(), bytes.size(), this->digest());
-  archive(digest);
+  std::uint64_t map = map_.digest(), steps = digest_of_steps();
+  archive(map), archive(steps);
+  std::uint64_t all = digest_of(bytes.data(), bytes.size(), STATE);
+  archive(all);
   return bytes;
 }
 
 void Tracker::load(const std::uint8_t *state, Size size) {
-  const Size bytes = size - static_cast<Size>(sizeof(std::uint64_t));
-  const char *expected = "a whole state of a tracker of this map and these steps, and a new tracker";
-  require(!count_ && bytes >= 0, expected);
-  std::uint64_t digest;
-  std::memcpy(&digest, state + bytes, sizeof digest);
-  require(digest == digest_of(state, static_cast<std::size_t>(bytes), this->digest()), expected);
+  const char *whole = "a whole state of a tracker of this version";
+  std::uint64_t digests[3];  // of the map, of the steps, and of all
+  const Size bytes = size - static_cast<Size>(sizeof digests);
+  require(!count_, "a tracker that has taken no frame");
+  require(bytes >= 0, whole);
+  std::memcpy(digests, state + bytes, sizeof digests);
+  require(digests[2] == digest_of(state, static_cast<std::size_t>(size) - sizeof digests[2], STATE), whole);
+  require(digests[0] == map_.digest(), "a state of a tracker of this map");
+  require(digests[1] == digest_of_steps(), "a state of a tracker with these steps");
   Archive archive(state, bytes);
   keep(archive);
-  require(!archive.left(), expected);
+  require(!archive.left(), whole);
 }
 
 void Tracker::keep(Archive &archive) {

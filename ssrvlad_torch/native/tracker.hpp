@@ -87,7 +87,7 @@ class Tracker {
   };
 
   void keep(Archive &archive);
-  std::uint64_t digest() const;
+  std::uint64_t digest_of_steps() const;  // with the rows that are allowed
   std::vector<float> scores_of(const ssrvlad_queries *queries, const Size *excluded, int threads);
   void open(const std::vector<Size> &anchors, int threads);
   void choose_course();

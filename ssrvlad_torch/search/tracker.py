@@ -126,11 +126,11 @@ class Tracker:
         try:
             waiting = {
                 int(number): (str(name), None if stamp is None else float(stamp))
-                for number, name, stamp in parse_json(about.decode(), path)
+                for number, name, stamp in parse_json(about.decode(), "names of frames")
             }
             self._tracker.load(state)
         except (TypeError, ValueError) as error:
-            raise ValueError(f"{path}: no state of a tracker of this map: {error}") from error
+            raise ValueError(f"{path}: no state to go on from: {error}") from error
         self._waiting = waiting
 
     def _view(self, frame: Picture | LabelMap | View, name: str) -> View:
