@@ -142,9 +142,8 @@ def against_the_grid(rows: Rows) -> str:
         (sum(rates[OURS, *at] < rates[GRID, *at] - 1 / 300 for at in ats), len(ats))
         for ats in ([key[1:] for key in rates if key[:2] == (OURS, way)] for way in WAYS)
     ]
-    return " and ".join(
-        f"in {count} of {of} {way}" for (count, of), way in zip(worse, WAYS, strict=True)
-    )
+    parts = (f"in {n} of {of} conditions ({way})" for (n, of), way in zip(worse, WAYS, strict=True))
+    return f"by more than one query of 300 {' and '.join(parts)}"
 
 
 def draw(rows: Rows, path: Path) -> None:

@@ -177,8 +177,8 @@ def missing_for_sure() -> str:
     return (
         f"The suggested threshold is the lowest whose precision is at least {SURE_PRECISION:.0%} "
         f"with 95 % confidence, which needs {queries_needed()} accepted queries without a mistake, "
-        "or else the one of the highest precision. As neighbouring queries are alike, it is "
-        "optimistic"
+        "or else the one whose precision has the highest lower bound. As neighbouring queries are "
+        "alike, it is optimistic"
     )
 
 

@@ -57,6 +57,10 @@ class LoopDetector:
         channels: what is known of frames beside their label maps. The scores of all channels are
             fused; a channel weighs by the lead of its first candidates so far.
 
+    Attributes:
+        segmenter: labels pictures that `update` gets; ``None`` until it is set, see
+            `from_pretrained`.
+
     Examples:
         >>> import torch
         >>> from ssrvlad_torch import SSRVLAD, LoopDetector

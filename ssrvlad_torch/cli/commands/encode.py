@@ -58,7 +58,11 @@ def encode(
         frames = town.source(source, note=note)
         with progress_bar("encoding", len(frames.files)) as bar:
             options = EncodeOptions(source.workers, complete, prune, bar.advance, bar.skip, gpus)
-            summary = town.add(frames, options, engine, note)
+            try:
+                summary = town.add(frames, options, engine, note)
+            except (KeyboardInterrupt, SystemExit):
+                note(f"{output} holds {len(town)} frames; the same command goes on from there")
+                raise
     if as_json:
         info = Database.open(output).info() if Database.exists(output) else {}
         skipped = {"skipped": [frame._asdict() for frame in summary.skipped]}
