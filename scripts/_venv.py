@@ -1,7 +1,8 @@
 """Creates or reuses ``.venv``, installs this package into it, and runs commands there.
 
 Needs only Python 3.11 with the standard library. pip installs the core packages and one extra of
-pyproject.toml, at the versions of constraints.txt.
+pyproject.toml, at the versions of constraints.txt; modules are compiled where they are first
+imported, not all 25,000.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ def install(extra: str) -> None:
         venv.create(VENV, with_pip=True)
     print(f"installing ssrvlad-torch[{extra}] into {VENV.name}, a few minutes", flush=True)
     pip = [BIN / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-    constraints = ["--constraint", ROOT / "constraints.txt"]
+    options = ["--no-compile", "--constraint", ROOT / "constraints.txt"]
     # torch first: its pinned build then satisfies the dependency of the package
     for what in (["torch"], ["--editable", f"{ROOT}[{extra}]"]):
-        if subprocess.run([*pip, *constraints, *what], check=False).returncode:
+        if subprocess.run([*pip, *options, *what], check=False).returncode:
             sys.exit(f"{Path(sys.argv[0]).name}: pip could not install {' '.join(what)}, see above")
     stamp.touch()
 
