@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from drawings import SPACE
-from helpers import street
+from helpers import CONFIG, street
 from networks import write_graph, write_street
 from PIL import Image
 
@@ -117,8 +117,10 @@ def test_locate_takes_the_network_of_the_database(town, network, ssrvlad, refusa
 def test_locate_refuses_a_database_of_label_maps_and_a_network_of_code(refusal, database, tmp_path):
     locate = ("locate", tmp_path, "--in", database)
     assert "was not made from pictures; name a --segmenter" in refusal(*locate)
-    Database.open(database).add_origin(None, "key", "mynets:mine")
-    assert refusal(*locate).endswith("was made by code: say --segmenter mynets:mine")
+    by_code = Database.create(tmp_path / "code.ssrdb", CONFIG)
+    by_code.add_origin(None, "key", "mynets:mine")
+    line = refusal("locate", tmp_path, "--in", by_code.path)
+    assert line.endswith("was made by code: say --segmenter mynets:mine")
 
 
 def test_labels_lists_classes_and_features(network, ssrvlad, refusal, tmp_path):

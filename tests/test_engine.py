@@ -95,6 +95,18 @@ def test_a_change_is_checked_against_what_others_have_written(path):
     assert len(Database.open(path)) == len(FRAMES) + 2
 
 
+def test_what_others_write_before_an_origin_is_added_is_checked(path):
+    database = Database.open(path)
+
+    def check(known):
+        if "other/0" in known:
+            raise ValueError("other/0 is there")
+
+    Database.open(path).append(["other/0"], ONE)
+    database.add_origin(None, "another network")
+    refuses("other/0 is there", database.merge, ["a/1"], ONE, check=check)
+
+
 def in_threads(*works):
     """Runs functions in threads at once, and returns their errors."""
     ready = threading.Barrier(len(works))

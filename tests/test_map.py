@@ -215,6 +215,16 @@ def test_another_network_is_refused_and_label_maps_are_not(town, drawn, photos, 
     refuses("was not made from pictures", drawn.locate, photos / "3.png")
 
 
+def test_a_map_that_another_network_encoded_anew_is_of_that_network(town, settings, photos):
+    town.add(photos)
+    other = settings.with_name("other.yaml")
+    other.write_text(settings.read_text().replace("std: [1, 1, 1]", "std: [2, 2, 2]"))
+    assert Map.open(town.path, other).add(photos).anew == {"segmenter changed": 30}
+    for network in (other, None):
+        answer = Map.open(town.path, network).locate(photos / "7.png")
+        assert answer.candidates[0].frame == "monday/7"
+
+
 def test_other_objects_and_torn_files_are_refused_as_pictures(town, photos):
     refuses(r"town\.ssrdb does not exist", town.locate, photos / "7.png")
     town.add(photos / "1.png")

@@ -120,6 +120,15 @@ def test_another_folder_with_the_same_name_never_merges_overwrites_or_prunes(tow
     assert town.encode("02/labels", sequence="labels").encoded == 2, "the user gave the name"
 
 
+def test_a_refused_run_leaves_no_origin(town):
+    town.add("00/labels", range(2))
+    town.add("01/labels", range(2))
+    town.encode("00/labels")
+    synthia = SSRVLAD.from_preset("default", labels_as="synthia")
+    refuses("'labels' of the database is", town.encode, "01/labels", head=synthia)
+    assert [str(origin) for origin in town.database().origins.values()] == ["camvid-11"]
+
+
 @pytest.mark.parametrize(
     ("sequence", "message"),
     [

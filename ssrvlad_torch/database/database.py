@@ -178,12 +178,17 @@ class Database:
         return self._config
 
     def label_spaces(self) -> list[LabelSpace]:
-        """The label spaces of the frames, or of the origins of an empty database, each once."""
+        """The label spaces of `used_origins`, each once."""
         spaces = dict[str, LabelSpace]()
-        for key in self._columns(["origin"])["origin"].unique().to_pylist() or self.origins:
-            if key in self.origins and (space := self.origins[key].label_space):
+        for origin in self.used_origins():
+            if space := origin.label_space:
                 spaces.setdefault(space.digest, space)
         return [*spaces.values()]
+
+    def used_origins(self) -> list[rows.Origin]:
+        """The origins that frames have; all of an empty database."""
+        keys = self._columns(["origin"])["origin"].unique().to_pylist() or self.origins
+        return [self.origins[key] for key in keys if key in self.origins]
 
     def require(self, config: SSRVLADConfig, columns: Sequence[Column] = ()) -> None:
         """Raises a ValueError if the descriptors were made with other settings, which are shown
@@ -286,8 +291,8 @@ class Database:
     def merge(self, frames: Frames, descriptors: Descriptors, check: Check | None = None) -> None:
         """Adds frames and replaces those with the same ids, in one commit. A replaced frame keeps
         its arrival if the new record has none. Arguments and errors as for `append`; ``check`` gets
-        the records of the version that is changed, if others have made it since this object last
-        read or wrote the database; an error of it ends the change."""
+        the records of the version that is changed, if others may have added frames since this
+        object was made or changed frames; an error of it ends the change."""
         stored = self._columns(["frame", "arrival"], engine.open_table(self.path)).to_pydict()
         arrivals = dict(zip(*stored.values(), strict=True))
         records = _records(frames)
@@ -340,6 +345,7 @@ class Database:
 
         if len(ids):
             self._apply(partial(engine.commit, plan=plan, message=f"{verb} {len(ids)} frames"))
+            self._checked = self.version
 
     def drop_damaged(self) -> list[rows.Damage]:
         """Drops damaged rows, and those after a place that cannot be read in the same file, in one
@@ -357,12 +363,11 @@ class Database:
 
     def _apply(self, change: Callable[[LanceDataset], LanceDataset]) -> None:
         """Changes the newest version; see `engine.change_table`. An interrupt may come after the
-        commit: then this object reads what is stored, whose records are not checked yet."""
+        commit: then this object reads what is stored."""
         self._require_writable()
         with self._lock:
             try:
                 self._use(engine.change_table(self.path, change))
-                self._checked = self.version
             except BaseException as error:
                 if not isinstance(error, Exception):
                     self._use(engine.open_table(self.path))

@@ -31,6 +31,7 @@ from ..channels.channel import (
 )
 from ..database.database import Database
 from ..database.frames import FrameRecord, FrameSet
+from ..database.rows import Origin
 from ..datasets.frame_files import FrameFile
 from ..datasets.image_files import read_image
 from ..datasets.label_files import LabelMap, digest, read_label_map
@@ -90,10 +91,10 @@ def prepared(
     channels = channels_of(database.columns, head)
     check_segmenter(segmenter, head, channels)
     network = (segmenter.key(), segmenter.name) if segmenter else ()
+    plan = Plan.of(files, database, Origin(head.label_space, *network))  # it may refuse
     origin = database.add_origin(head.label_space, *network)
     if segmenter and segmenter.state:
         remember(segmenter.name, segmenter.state, segmenter.key(), cache_folder())
-    plan = Plan.of(files, database, database.origins[origin])
     options.progress(plan.already_there)
     return plan, Describer(channels, head.label_space, origin=origin)
 
@@ -119,7 +120,7 @@ def method_for(
     if names is None and network is None:
         return head, []
     if names is None and database:
-        of_pictures = any(origin.segmenter for origin in database.origins.values())
+        of_pictures = any(origin.segmenter for origin in database.used_origins())
         if len(database.columns) == 1 and not of_pictures:
             note(f"{database.path} is of label maps alone: features and HOG are not stored")
         return head, []

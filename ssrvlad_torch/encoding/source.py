@@ -139,7 +139,7 @@ def up_to_date(
     if database is None or not isinstance(network, str) or selection.layout:
         return None
     key = known_key(network, cache_folder())
-    origins = [o for o in database.origins.values() if o.label_space and o.segmenter == key]
+    origins = [o for o in database.used_origins() if o.label_space and o.segmenter == key]
     space = origins[0].label_space if key and len(origins) == 1 else None
     if space is None or (
         labels_as not in (None, AUTO) and label_space(labels_as).digest != space.digest
@@ -237,7 +237,7 @@ def origin_of(database: Database) -> Origin:
     """The network and the label space with which all frames of a database were labelled. No network
     or more than one, one without a name, and a name that runs code, which only a user may choose,
     are a ValueError."""
-    origins = [origin for origin in database.origins.values() if origin.segmenter]
+    origins = [origin for origin in database.used_origins() if origin.segmenter]
     if not origins:
         raise ValueError(
             f"{database.path} was not made from pictures; name a --segmenter, or query "
@@ -256,7 +256,7 @@ def origin_of(database: Database) -> Origin:
 
 def require_network(database: Database, segmenter: Segmenter) -> None:
     """Raises a ValueError if another network labelled frames of a database."""
-    makers = {origin.segmenter: origin.network for origin in database.origins.values()}
+    makers = {origin.segmenter: origin.network for origin in database.used_origins()}
     makers.pop("", None)
     if makers and makers.keys() != {segmenter.key()}:
         got = segmenter.name or "the given network"
@@ -308,7 +308,7 @@ def pose_in(database: Database | None) -> Pose:
 def _are_of(database: Database, pictures: Callable[[], list[FrameFile]]) -> bool:
     """Whether frames are pictures for the network of a database: the first that can be read is no
     label map of any of its label spaces."""
-    spaces = [origin.label_space for origin in database.origins.values() if origin.segmenter]
+    spaces = [origin.label_space for origin in database.used_origins() if origin.segmenter]
     for file in pictures() if spaces else ():
         for space in filter(None, spaces):
             with suppress(ValueError):
