@@ -11,9 +11,11 @@ import torch
 from helpers import HEAD, alone, assert_streets, counts, refuses, rewrite, street
 
 from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.label_files import digest
 from ssrvlad_torch.encoding import encoder, plan
 from ssrvlad_torch.encoding.encoder import encode_to_database
+from ssrvlad_torch.encoding.results import EncodeOptions
 
 PRUNE = {"complete": True, "prune": True}
 
@@ -168,6 +170,28 @@ def test_a_moved_folder_continues_its_sequence_if_the_name_is_given(town):
     folders = town.database().folders()
     assert town.encode("other/a", sequence="a", map_folders=folders).anew == {"file moved": 3}
     assert counts(town.encode("other/a", sequence="a", map_folders=folders)) == (0, 3, 0)
+
+
+def test_frames_of_a_stack_that_cannot_be_read_now_are_not_gone(town):
+    town.add("a", range(2))
+    stack = town.folder / "a" / "stack.npy"
+    np.save(stack, np.stack([street(7)] * 3))
+    town.encode("a")
+    stack.write_bytes(stack.read_bytes()[:-1])
+    assert town.encode("a", complete=True).gone == []
+    assert counts(town.encode("a", **PRUNE)) == (0, 2, 1)
+    assert len(town.database()) == 5
+    np.save(stack, street(7))
+    assert town.encode("a", **PRUNE).pruned == 3, "it is one frame now"
+
+
+def test_frames_of_a_bag_that_cannot_be_read_now_are_not_gone(town):
+    town.add("a", range(2))
+    town.encode("a")
+    [first, _] = town.files("a")
+    bag = FrameFile("a", "a", first.path.parent, folder=first.folder, problem="half copied")
+    encode_to_database(HEAD, [bag], town.database(), EncodeOptions(**PRUNE))
+    assert len(town.database()) == 2
 
 
 @pytest.mark.parametrize("rows", [4, 8192])

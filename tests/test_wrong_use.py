@@ -63,6 +63,7 @@ WRONG_USES = [
     (f"encode monday {NONE} --segmenter-cache cache", "--segmenter-cache needs --segmenter"),
     (f"encode monday {NONE} --engine ray --gpus 1", "--gpus needs --engine ray and --segmenter"),
     (f"encode jpegs {NONE} --segmenter net.yaml --gpus 1", "--gpus needs --engine ray and"),
+    (f"encode monday {NONE} --prune --topic /left", "--prune needs whole folders as SOURCE, with"),
     # query
     ("query town.ssrdb monday --top 0", "Input should be greater than or equal to 1, got 0"),
     ("query town.ssrdb monday --follow on", "'--follow': 'on' is not one of 'offline'"),

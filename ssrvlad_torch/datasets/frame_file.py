@@ -47,6 +47,7 @@ class FrameFile:
         place: where it is, for messages; by default its path.
         listed: of a remote file, size and modification time when its folder was listed.
         problem: why the frames of a video or bag, for which it stands, cannot be read.
+        is_torn: whether it is a ``.npy`` file that cannot be read, perhaps a stack of many frames.
         content: reads the bytes of the file, or of a ``.npy`` file of a row.
     """
 
@@ -63,6 +64,7 @@ class FrameFile:
     place: str = ""
     listed: str = ""
     problem: str = ""
+    is_torn: bool = False
     content: Callable[["FrameFile"], bytes] = field(default=_on_disk, repr=False, compare=False)
 
     def __post_init__(self) -> None:

@@ -79,15 +79,15 @@ class FileKind:
                     other[suffix or "without suffix"] += 1
                 continue
             length = self._length(entry) if suffix == ".npy" else None
-            if length is None:
-                yield FrameFile("", entry.stem, entry, folder=home)
+            if length is None or length < 0:
+                yield FrameFile("", entry.stem, entry, folder=home, is_torn=length is not None)
                 continue
             folder = home if is_folder else absolute(path)
             for row in range(length):
                 yield FrameFile("", f"{entry.stem}-{row:06d}", entry, row, folder=folder)
 
     def _length(self, path: Path) -> int | None:
-        """Frames in a ``.npy`` stack; ``None`` for a file of one frame, or a damaged one."""
+        """Frames in a ``.npy`` stack; ``None`` for a file of one frame, -1 for a damaged one."""
         try:
             check_regular(path)
             with path.open("rb") as file:
@@ -96,11 +96,11 @@ class FileKind:
             if len(shape) > 2 and 0 in shape:
                 return 0
             if size != path.stat().st_size:
-                return None
+                return -1
             array = open_memmap(path, mode="r")
             return len(array) if self.is_stack(array) else None
         except Exception:  # damaged files raise any exception
-            return None
+            return -1
 
 
 def find_frames(

@@ -34,7 +34,8 @@ class Plan:
     Attributes:
         files, reasons, digests: files of the frames to encode; by frame id, why, and of those to
             encode again the digest of the label map in the database.
-        gone: ids of frames in the database from the same folders, whose file does not exist.
+        gone: ids of frames in the database from the same folders, whose file does not exist; none
+            of a folder with a bag, video or ``.npy`` file that cannot be read.
         refused: frames whose names are no ids.
     """
 
@@ -66,7 +67,8 @@ class Plan:
             elif reason := changes.get(record.origin, LABEL_SPACE) or _why_file(file, record):
                 reasons[file.frame], digests[file.frame] = reason, record.digest
                 todo.append(file if file.has_pose_source else replace(file, pose=_pose_of(record)))
-        present, folders = {file.frame for file in files}, {file.folder for file in files}
+        unread = {file.folder for file in files if file.problem or file.is_torn}
+        present, folders = {f.frame for f in files}, {f.folder for f in files} - unread
         rows = zip(*(records.table[n].to_pylist() for n in ("frame", "signature")), strict=True)
         gone = [f for f, s in rows if folder_of(s) in folders and f not in present]
         there = len(files) - len(todo) - len(refused)

@@ -10,7 +10,7 @@ from ..output import finish, note, print_json, progress_bar, say
 
 Engine = Literal["local", "ray"]
 
-_COMPLETE = "whole folders as SOURCE, without --fps, --every and --start"
+_COMPLETE = "whole folders as SOURCE, without --topic, --fps, --every and --start"
 
 
 def encode(
@@ -47,7 +47,7 @@ def encode(
 
     folders = all(is_uri(path) or Path(path).is_dir() for path in source.paths)
     # all frames of the folders are used, so that one without a file is gone
-    complete = folders and not source.changed("fps", "every", "start", "layout")
+    complete = folders and not source.changed("topic", "fps", "every", "start", "layout")
     if prune and not complete:
         raise ValueError(f"--prune needs {_COMPLETE}")
     if gpus and engine != "ray":
