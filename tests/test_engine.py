@@ -1,11 +1,13 @@
 """Versions of a database, several writers of one, and whole and truncated files."""
 
 import os
+import shutil
 import subprocess
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
@@ -131,6 +133,32 @@ def test_a_version_that_is_not_there_is_refused(path, version):
     Database.open(path).compact(keep_days=0)
     only = Database.open(path).version
     refuses(f"has no version {version}; it has {only}$", Database.open, path, version)
+
+
+def test_a_table_with_rows_is_never_renamed(path, monkeypatch):
+    monkeypatch.setattr(Path, "rename", None)
+    engine.discard_empty(str(path))
+    assert loaded(path).keys() == {*FRAMES}
+
+
+def test_a_table_that_cannot_be_read_is_not_discarded(path):
+    """As without open files, at the end of a run that failed for the same reason."""
+    for version in path.glob("_versions/*"):
+        version.write_bytes(b"torn")
+    engine.discard_empty(str(path))
+    assert Database.exists(path)
+
+
+def test_a_table_keeps_its_name_if_discarding_is_interrupted(tmp_path, monkeypatch):
+    Database.create(tmp_path / "db", CONFIG)
+
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(shutil, "rmtree", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        engine.discard_empty(str(tmp_path / "db"))
+    assert [*tmp_path.iterdir()] == [tmp_path / "db"] and len(Database.open(tmp_path / "db")) == 0
 
 
 FORKED = """

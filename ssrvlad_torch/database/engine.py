@@ -162,20 +162,31 @@ def create(uri: str, schema: pa.Schema) -> LanceDataset:
 
 
 def discard_empty(uri: str) -> None:
-    """Deletes a local table that has no rows. It is renamed first, so that another writer of it
-    fails, and does not lose its rows."""
-    if is_uri(uri):
+    """Deletes a local table that has no rows; one that cannot be read stays. It is renamed first,
+    so that another writer of it fails, and does not lose its rows."""
+    if is_uri(uri) or not _is_empty(folder := Path(uri).resolve()):
         return
-    folder = Path(uri).resolve()
     apart = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}")
-    with contextlib.suppress(OSError):
-        folder.rename(apart)
-        if open_table(str(apart)).count_rows():
+    try:
+        with contextlib.suppress(OSError):
+            folder.rename(apart)
+            if _is_empty(apart):
+                shutil.rmtree(apart)
+                if Path(uri).is_symlink():
+                    folder.mkdir()
+    finally:
+        if apart.exists():
             apart.rename(folder)
-            return
-        shutil.rmtree(apart)
-        if Path(uri).is_symlink():
-            folder.mkdir()
+
+
+def _is_empty(folder: Path) -> bool:
+    """Whether a local table can be read and has no rows."""
+    try:
+        with lance_errors(OSError):
+            rows = open_table(str(folder)).count_rows()
+    except OSError:
+        return False
+    return rows == 0
 
 
 def add_metadata(table: LanceDataset, entries: dict[str, str]) -> LanceDataset:
