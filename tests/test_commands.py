@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from drawings import SPACE
+from drawings import SPACE, VOID
 from helpers import CONFIG, street
 from networks import write_graph, write_street
 from PIL import Image
@@ -84,6 +84,14 @@ def test_a_query_draws_its_answers_without_ground_truth(ssrvlad, database, maps,
     assert Image.open(picture).width > 1000
     refused = ssrvlad("query", database, maps, "--picture", tmp_path / "answers.xyz")
     assert refused[:2] == (2, "") and "a picture is one of" in refused[2][0]
+
+
+def test_answers_without_a_candidate_are_drawn_too(ssrvlad, database, tmp_path):
+    picture, empty = tmp_path / "answers.png", tmp_path / "empty.png"
+    for label, code in ((VOID, 0), (77, 2)):  # nothing is seen, and no frame is described
+        Image.fromarray(np.full((24, 32), label, np.uint8)).save(empty)
+        assert ssrvlad("query", database, empty, "--picture", picture)[0] == code
+        assert Image.open(picture).width > 1000
 
 
 @pytest.fixture

@@ -244,8 +244,8 @@ def draw_answers(answers: Answers, material: Material) -> Figure:
     charts[-1].set(xlabel="number of the query", ylabel="number of its candidate in the map")
     above.legend(*charts[-1].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     order = answered[np.argsort(-sure[answered], kind="stable")]
-    examples = order[np.unique(np.linspace(0, len(order) - 1, EXAMPLES).round().astype(int))]
-    for column, query in enumerate(examples if len(order) else ()):
+    examples = np.linspace(0, len(order) - 1, min(EXAMPLES, len(order))).round().astype(int)
+    for column, query in enumerate(order[examples]):
         frames = answers.queries.frames[query], answers.references.frames[rows[query]]
         pictures = material.query(frames[0]), material.reference(frames[1])
         for line, (frame, views) in enumerate(zip(frames, pictures, strict=True)):
