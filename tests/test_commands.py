@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 from drawings import SPACE, VOID
-from helpers import CONFIG, street
+from helpers import CONFIG, street, write_maps
+from loop_streams import objects
 from networks import write_graph, write_street
 from PIL import Image
 
@@ -39,6 +40,13 @@ def test_the_steps_are_taken_and_reported(ssrvlad, database, maps):
     assert all(": refused (confidence" in line for line in nothing)
     paper = ssrvlad("query", database, maps, "--as-paper", "--verbose")
     assert "temporal sum t = 3" in paper[2][-1]
+
+
+def test_a_line_of_json_has_the_steps_of_its_sequence_alone(ssrvlad, database, maps, tmp_path):
+    tuesday = write_maps(tmp_path / "tuesday", range(3))
+    for line in objects(ssrvlad("query", database, maps, tuesday, "--json")[1]):
+        for step in ("standardise", "sweep", "follow", "weights"):
+            assert [*line["steps"][step]] == [line["query"].split("/")[0]]
 
 
 def test_as_paper_contradicts_other_options(ssrvlad, refusal, database, maps):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from ..channels.camera import Camera
 from ..config import package_version
 from ..datasets.dataset import shortened
+from ..datasets.names import sequence_of
 from ..datasets.poses import Pose
 from ..evaluation.measure import Evaluation
 from ..evaluation.metrics import figure_rows, fraction
@@ -31,13 +32,19 @@ def print_answer(
     exists: bool = False,
 ) -> None:
     """Prints the candidates of a query, the confidence, and the pose of the first; with
-    ``verbose`` and in JSON the scores too, in JSON all poses and, of several answers, the steps.
-    ``exists``: it has candidates, which are refused if the answer has none."""
+    ``verbose`` and in JSON the scores too, in JSON all poses and, of several answers, the steps for
+    its sequence. ``exists``: it has candidates, which are refused if the answer has none."""
     if as_json:
         facts = answer.as_json()
         if of:
-            estimate = estimate_in_json(of.estimate)
-            facts |= {"temporal": of.temporal, "steps": of.recognised.used, "estimate": estimate}
+            estimate, sequence = estimate_in_json(of.estimate), sequence_of(answer.query)
+            steps = {
+                step: {n: each[n] for n in [sequence] if n in each}
+                if isinstance(each, dict)
+                else each
+                for step, each in of.recognised.used.items()
+            }
+            facts |= {"temporal": of.temporal, "steps": steps, "estimate": estimate}
         print_json(facts)
         return
     frames = [f"{c.frame} {c.score:.4f}" if verbose else c.frame for c in answer.candidates]
