@@ -16,12 +16,13 @@ from ssrvlad_torch.channels import Column
 from ssrvlad_torch.channels.channel import channels_of
 from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.channels.hog import HOG
+from ssrvlad_torch.database.engine import open_table
 from ssrvlad_torch.database.frames import FrameRecord, FrameSet
 from ssrvlad_torch.recognition.recognise import Steps
 from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.search import exact, shortlist
 from ssrvlad_torch.search.exact import open_shortlist, recognise_in
-from ssrvlad_torch.search.index import Index, MapRows, build, damaged
+from ssrvlad_torch.search.index import Index, MapRows, build, damaged, read_rows
 from ssrvlad_torch.search.selection import neighbours, select
 from ssrvlad_torch.search.shortlist import Shortlist
 from ssrvlad_torch.stages.features import FORM
@@ -285,6 +286,26 @@ def test_every_row_has_its_code_also_after_changes_of_the_map(indexed):
     indexed.compact(keep_days=0)
     assert build(indexed).new == 0
     assert_own_row_is_first(indexed, "a/0000", rows(500, 1))
+
+
+def test_codes_that_no_frame_has_are_dropped_when_they_are_most(indexed):
+    """Changed poses change all checksums."""
+    build(indexed)
+    sizes = []
+    for seed in (1000, 2000, 3000):
+        indexed.merge([f"a/{n:04d}" for n in range(100)], rows(seed, 100))
+        build(indexed)
+        sizes.append(open_table(str(Path(indexed.path, "_index", "codes"))).count_rows())
+    assert sizes == [200, 100, 200]
+    assert_own_row_is_first(indexed, "a/0000", rows(3000, 1))
+
+
+def test_rows_of_a_version_that_was_deleted_since_are_no_damage(indexed):
+    reader = Database.open(indexed.path)
+    add(indexed, 100, 1)
+    indexed.compact(keep_days=0)
+    message = "was deleted since: open it again"
+    refuses(message, read_rows, reader, np.arange(2), [SIGNS])
 
 
 def test_what_cannot_be_opened_or_built_is_refused_in_one_line(indexed, tmp_path):

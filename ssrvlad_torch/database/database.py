@@ -155,7 +155,7 @@ class Database:
         return database
 
     def __len__(self) -> int:
-        with self._reading():
+        with self.reading():
             return int(self._table.count_rows())
 
     def __bool__(self) -> bool:
@@ -249,7 +249,7 @@ class Database:
 
     def history(self) -> list[engine.Version]:
         """The versions that are stored, the oldest first."""
-        with self._reading():
+        with self.reading():
             return engine.history(self.table())
 
     def info(self) -> dict[str, Any]:
@@ -380,12 +380,14 @@ class Database:
 
     def _columns(self, names: list[str], table: LanceDataset | None = None) -> pa.Table:
         """Columns of the rows in the order in which they are stored."""
-        with self._reading():
+        with self.reading():
             read = self._table if table is None else table
             return read.to_table(columns=names, scan_in_order=True)
 
     @contextmanager
-    def _reading(self) -> Iterator[None]:
+    def reading(self) -> Iterator[None]:
+        """Turns an error while `table` is read into a ValueError that says whether the database is
+        damaged, or this version was deleted since."""
         try:
             with engine.lance_errors(ValueError, f"{self.path} is damaged"):
                 yield

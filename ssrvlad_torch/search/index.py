@@ -75,8 +75,9 @@ class MapRows(NamedTuple):
 
 def build(database: Database) -> Report:
     """Indexes the frames of a database that its index lacks; all if there is none, if it is damaged
-    or of other channels, or if the map has grown much since. A database that is damaged, in an
-    object store, or without frames is a ValueError, an index that cannot be written an OSError."""
+    or of other channels, if the map has grown much since, or if most codes are of no frame. A
+    database that is damaged, in an object store, or without frames is a ValueError, an index that
+    cannot be written an OSError."""
     if is_uri(database.path):
         raise ValueError(f"an index needs a folder on this machine, {database.path} is a URI")
     began, rows = time.perf_counter(), MapRows.of(database)
@@ -84,6 +85,7 @@ def build(database: Database) -> Report:
     try:
         index = Index(database, rows)
         is_old = bool(damaged(database)) or len(rows.keys) > _GROWTH * index.learnt_of
+        is_old = is_old or index.unused > len(rows.keys)
     except ValueError:
         is_old = True
     if is_old:
@@ -131,8 +133,8 @@ def damaged(database: Database) -> list[str]:
 
 
 class Index:
-    """The index of a database, opened: the rows of the map, coders by channel, and the number of
-    rows that the map had when the codes were learnt."""
+    """The index of a database, opened: the rows of the map, coders by channel, the number of rows
+    that the map had when the codes were learnt, and that of codes that no row has."""
 
     def __init__(self, database: Database, rows: MapRows) -> None:
         """Raises a ValueError in one line if there is no index, or one that is damaged or of other
@@ -152,6 +154,7 @@ class Index:
             }
             self._table = engine.open_table(str(folder / _CODES))
             self._places = _places(self._table, rows.keys)
+            self.unused = self._table.count_rows() - int((self._places >= 0).sum())
         except (OSError, ValueError, KeyError) as error:
             raise ValueError(
                 f"the index of {path} is damaged, or of other channels or another version; "
@@ -226,7 +229,7 @@ def read_rows(
     ``verified`` checks their bytes. Damage is a ValueError."""
     table, path = database.table(), database.path
     names = table.schema.names if verified else [column.name for column in columns]
-    with engine.lance_errors(ValueError, f"{path} is damaged"):
+    with database.reading():
         read = table.take(rows.tolist(), columns=names)
     if verified and not intact(read).all():
         raise ValueError(f"{path} is damaged; ssrvlad db verify shows where")
