@@ -357,8 +357,8 @@ class Map:
         declared = source.dataset.truth if source.dataset else None
         tolerances = tolerance_metres, tolerance_degrees, tolerance_frames
         definition = GroundTruth.chosen(declared, ground_truth, *tolerances)
-        if settings.get("near") is None:
-            settings["near"] = posed_references(definition, source, self.database, note)
+        circle = circle_of(settings.get("near"))
+        settings["near"] = posed_references(definition, source, self.database, circle, note)
         answers = self.query(source, steps, TOP, **settings)
         material = Material.of(self.database, answers, source)
         return evaluate_answers(answers, material, definition, convention, note)

@@ -131,6 +131,15 @@ def test_commands_say_where_candidates_are(ssrvlad, posed, tmp_path):
     assert found[0] == 1 and found[1] < 1, "places outside are not found"
 
 
+def test_an_evaluation_by_headings_leaves_out_unknown_ones_inside_a_circle_too(posed, tmp_path):
+    rows = [f"monday/{n:03d},{10 * n},0,{'' if n % 2 else 0}" for n in range(5)]
+    (tmp_path / "poses.csv").write_text("\n".join(["frame,x,y,heading", *rows]))
+    posed.add(tmp_path / "monday")
+    limits = {"tolerance_metres": 15.0, "tolerance_degrees": 5.0}
+    found = posed.evaluate(tmp_path / "monday", near=(0, 0, 25), **limits)
+    assert found.metrics["steps"]["near"] == "of known pose within 25 m of 0, 0: 2 frames"
+
+
 # ---- selection of references
 
 

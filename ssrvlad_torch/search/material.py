@@ -35,7 +35,7 @@ from ..taxonomy import LabelSpace, colourise, label_space
 from .answers import Answers
 from .exact import chosen_channels
 from .index import read_rows
-from .selection import Posed
+from .selection import Near, Posed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -156,21 +156,23 @@ def posed_references(
     definition: GroundTruth,
     source: SelectedFrames,
     database: Database,
+    circle: Near | Posed | None,
     note: Callable[[str], object],
-) -> Posed | None:
-    """The references of known pose, if a definition of a true match leaves out others; ``note``
-    gets their number. A distance in frames that cannot be told is a ValueError."""
+) -> Near | Posed | None:
+    """The references in a circle, if there is one, and of known pose, if a definition of a true
+    match leaves out others; ``note`` gets the number of these. A distance in frames that cannot be
+    told is a ValueError."""
     if definition.frames is not None and source.files:
         counted = Viewpoints.of(source.files, source.dataset).counted
         stored = Viewpoints.of_set(database.placed()[0], source.dataset, ()).counted
         from_frame_numbers(counted, stored, definition.frames)
     if definition.metres is None:
-        return None
+        return circle
     posed = Posed(definition.degrees is not None)
     is_posed = posed.rows(database.placed()[0].poses, database.path)
     if unknown := np.count_nonzero(~is_posed):
         note(f"{unknown} of {len(is_posed)} references are left out: their pose is unknown")
-    return posed if unknown else None
+    return posed._replace(circle=circle) if unknown else circle
 
 
 def evaluate_answers(

@@ -96,16 +96,21 @@ class Near(NamedTuple):
 
 
 class Posed(NamedTuple):
-    """All candidates of known position, and of known heading if that counts."""
+    """The candidates, perhaps of a circle, of known position, and of known heading if that
+    counts."""
 
     by_heading: bool
+    circle: Near | Posed | None = None
 
     def __str__(self) -> str:
-        return "of known pose"
+        return f"of known pose{f' {self.circle}' if self.circle else ''}"
 
     def rows(self, poses: npt.NDArray[np.float64], path: str) -> npt.NDArray[np.bool_]:
         """As `Near.rows`."""
-        return require_poses(f"references of {path}", poses, self.by_heading)
+        posed = require_poses(f"references of {path}", poses, self.by_heading)
+        if self.circle is None:
+            return posed
+        return self.circle.rows(np.where(posed[:, None], poses, np.nan), path)
 
 
 Circle = str | Sequence[float] | Posed
