@@ -287,6 +287,7 @@ class Map:
         listed: Sequence[Picture] = pictures if several else [pictures]  # type: ignore[assignment,list-item]
         frames = [pixels_of(picture) for picture in listed]
         if self._loaded is None or self._loaded.version != self.database.version:
+            self._loaded = None  # its memory is needed
             self._loaded = LoadedMap(self.database, self._segmenter)
         answers = self._loaded.locate(frames, top, circle)
         return answers if several else answers[0]
