@@ -124,6 +124,15 @@ def test_encode_tells_what_is_gone_or_has_changed_and_prunes_it(encode, refusal,
     assert len(Database.open(database)) == 5
 
 
+def test_of_many_frames_that_are_gone_twenty_are_named(encode, maps, tmp_path):
+    maps, town = write_maps(maps, range(23)), tmp_path / "many"
+    encode(maps, "-o", town)
+    for path in sorted(maps.iterdir())[1:]:
+        path.unlink()
+    err = encode(maps, "-o", town)[2]
+    assert len(err) == 21 and err[-1] == "ssrvlad: gone are 2 more"
+
+
 def test_candidates_are_limited_to_a_sequence_or_far_frames(
     candidates, encode, refusal, database, maps, tuesday
 ):

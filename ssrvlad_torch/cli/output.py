@@ -7,7 +7,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, TextIO
@@ -26,7 +26,7 @@ SOME_SKIPPED, ALL_SKIPPED = 3, 2
 
 _WIDE = 200
 _NAMED = 20
-"""Largest number of skipped frames that are named."""
+"""Largest number of frames of a kind, as skipped ones, that are named."""
 
 _SECONDS, _LINE_SECONDS = 0.2, 15.0
 """Time between two updates of a progress bar, which come in batches, and between two lines of
@@ -171,6 +171,14 @@ def note_skipped(frame: Skipped) -> None:
     note(f"skipped {frame.frame}: {frame.reason}")
 
 
+def note_first(frames: Sequence[Any], note_one: Callable[[Any], object], others: str) -> None:
+    """Notes the first of many frames one by one, and after ``others`` how many more there are."""
+    for frame in frames[:_NAMED]:
+        note_one(frame)
+    if len(frames) > _NAMED:
+        note(f"{others} {len(frames) - _NAMED} more")
+
+
 def finish(
     skipped: Sequence[Skipped], described: int | None = None, are_named: bool = False
 ) -> None:
@@ -180,10 +188,6 @@ def finish(
     a note asks for ``--labels-as``."""
     if skipped and described == 0 and all("label space" in frame.reason for frame in skipped):
         note("no frame could be described: is --labels-as the label space of these label maps?")
-    unnamed = () if are_named else skipped
-    for frame in unnamed[:_NAMED]:
-        note_skipped(frame)
-    if len(unnamed) > _NAMED:
-        note(f"skipped {len(unnamed) - _NAMED} more")
+    note_first(() if are_named else skipped, note_skipped, "skipped")
     if skipped:
         raise typer.Exit(ALL_SKIPPED if described == 0 else SOME_SKIPPED)

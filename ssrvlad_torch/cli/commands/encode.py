@@ -6,7 +6,7 @@ from typing import Literal
 
 from ...encoding.selection import FrameSelection
 from ..options import Json, MaybePreset, StoredChannels, option, switch
-from ..output import finish, note, print_json, progress_bar, say
+from ..output import finish, note, note_first, print_json, progress_bar, say
 
 Engine = Literal["local", "ray"]
 
@@ -70,6 +70,6 @@ def encode(
         print_json({"database": output, **report, **info})
     else:
         say(f"{output}: {summary}")
-    for frame in summary.gone:
-        note(f"{frame} is in {output}, but its file is gone; --prune removes it")
+    gone = f"is in {output}, but its file is gone; --prune removes it"
+    note_first(summary.gone, lambda frame: note(f"{frame} {gone}"), "gone are")
     finish(summary.skipped, summary.encoded + summary.anew.total() + summary.already_there)
