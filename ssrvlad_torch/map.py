@@ -95,7 +95,7 @@ class Map:
         version: int | None = None,
     ) -> Map:
         """A map; a new one is made by the first `add`. A damaged database, one of another version
-        of the method, and one of another preset or other channels are a ValueError.
+        of the method, and one of another preset or without these channels are a ValueError.
 
         Args:
             path: of the database, a folder or a URI.
@@ -185,7 +185,9 @@ class Map:
             raise ValueError(f"{self.path} was opened as of version {self.version}, read-only")
         source = frames if isinstance(frames, SelectedFrames) else self.source(frames, note=note)
         network, stored = source.segmenter, self._stored()
-        if options.gpus and not network:
+        if engine not in ("local", "ray"):
+            raise ValueError(f"engine: expected local or ray, got {engine!r}")
+        if options.gpus and not (network and engine == "ray"):
             raise ValueError("--gpus needs --engine ray and --segmenter")
         labels_as, names = source.labels_as, self.channels
         head, beside = method_for(stored, self.preset, labels_as, network, names, note)
@@ -247,8 +249,10 @@ class Map:
             near: only frames whose pose is in this circle are candidates.
             min_confidence, max_wrong: which answers are accepted, see `Answers.accepted`.
             follow: instead of that of ``steps``; ``"no"`` matches single frames.
-            single: match each frame without the others, as `locate` does.
+            single: match each frame without the others, as `locate` does, without ``steps``.
         """
+        if single and (steps or follow not in (None, "no")):
+            raise ValueError("single matches each frame by itself; expected no steps and no follow")
         circle = near if near is None else circle_of(near)
         source, steps = self._source(frames), steps or Steps()
         if not isinstance(steps, Steps):

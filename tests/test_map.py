@@ -177,6 +177,10 @@ def test_a_map_is_made_by_its_first_frames(settings, photos, maps, tmp_path):
     assert town.add(photos).already_there == 30
 
 
+def test_gpus_without_ray_are_refused(town, photos):
+    refuses("--gpus needs --engine ray and --segmenter", town.add, photos, EncodeOptions(gpus=1))
+
+
 def test_channels_of_a_new_map_are_chosen(settings, photos, tmp_path):
     for chosen, stored in (
         (None, ("ssr-vlad", "hog")),
@@ -253,6 +257,10 @@ REFUSED = [
     (lambda town, today: town.query(today, channels="hog"), "expected a list of channels"),
     (lambda town, today: town.query(today, channels=["hog"]), "holds ssr-vlad of every frame, not"),
     (lambda town, today: town.query(today, min_confidence=0.5, max_wrong=0.1), "no min_confidence"),
+    (lambda town, today: town.query(today, min_confidence=90), "min_confidence: expected a"),
+    (lambda town, today: town.query(today, max_wrong=5), "max_wrong: expected a fraction"),
+    (lambda town, today: town.query(today, single=True, follow="online"), "no steps and no follow"),
+    (lambda town, today: town.add(today, engine="rya"), "engine: expected local or ray, got 'rya'"),
 ]
 
 

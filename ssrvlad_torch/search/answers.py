@@ -92,6 +92,15 @@ class Estimate(NamedTuple):
     high: float | None
 
 
+def check_limits(min_confidence: float, max_wrong: float | None) -> None:
+    """Requires limits of `Answers.accepted`, each from 0 to 1, not both; else a ValueError."""
+    for name, limit in (("min_confidence", min_confidence), ("max_wrong", max_wrong)):
+        if limit is not None and not 0 <= limit <= 1:
+            raise ValueError(f"{name}: expected a fraction from 0 to 1, got {limit}")
+    if min_confidence and max_wrong is not None:
+        raise ValueError("max_wrong chooses the least confidence; expected no min_confidence")
+
+
 @dataclass(repr=False, eq=False)
 class Answers:
     """The answers to all frames of a source; iterating gives an `Answer` for each.
@@ -118,10 +127,9 @@ class Answers:
 
     def __post_init__(self) -> None:
         sure, least = self.recognised.sure, self.min_confidence
+        check_limits(least, self.max_wrong)
         if self.max_wrong is None:
             self.estimate = estimate(sure, least)
-        elif least:
-            raise ValueError("max_wrong chooses the least confidence; expected no min_confidence")
         else:
             self.estimate = accept(sure, self.max_wrong)
             least = self.estimate.confidence
@@ -148,7 +156,8 @@ class Answers:
 
     def accepted(self, min_confidence: float = 0.0, max_wrong: float | None = None) -> Answers:
         """The answers with a confidence of at least ``min_confidence``, or, if ``max_wrong`` is
-        given, as many as this fraction of wrong answers permits; the others have no candidate."""
+        given, as many as this fraction of wrong answers permits; the others have no candidate.
+        Both, and a number outside 0 to 1, are a ValueError."""
         return replace(self, min_confidence=min_confidence, max_wrong=max_wrong)
 
     def judged(self, truth: PartialTruth) -> dict[str, Any]:

@@ -29,7 +29,7 @@ from ..recognition.sweep import COLUMNS
 from ..recognition.temporal import temporal_sum
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, label_space
-from .answers import Answer, Answers
+from .answers import Answer, Answers, check_limits
 from .index import LEAST_ROWS, is_indexed
 from .selection import Near, Posed, neighbours, select
 from .shortlist import Shortlist
@@ -58,6 +58,7 @@ def search(
     its own sequence are no candidates, nor those of a pose outside ``near``. With ``single`` each
     frame is matched without the others. For ``min_confidence`` and ``max_wrong`` see `Answers`. A
     source that lacks a channel, and what does not go together, are a ValueError."""
+    check_limits(min_confidence, max_wrong)  # before hours of work
     steps = _ALONE if single else steps
     used = chosen_channels(database, channels)
     for channel in used if temporal else ():

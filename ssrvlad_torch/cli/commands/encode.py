@@ -50,8 +50,6 @@ def encode(
     complete = folders and not source.changed("topic", "fps", "every", "start", "layout")
     if prune and not complete:
         raise ValueError(f"--prune needs {_COMPLETE}")
-    if gpus and engine != "ray":
-        raise ValueError("--gpus needs --engine ray and --segmenter")
     town = Map.open(output, preset=preset, channels=channel)
     summary = town.up_to_date(source, complete, prune)
     if summary is None:
