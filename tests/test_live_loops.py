@@ -103,6 +103,21 @@ def test_a_checkpoint_that_cannot_be_written_costs_no_result(tmp_path, monkeypat
     assert len(Database.open(tmp_path / "drive.ssrdb")) == len(SEEDS) // 6 * 6
 
 
+def test_a_memory_that_is_out_of_reach_costs_no_result(tmp_path, monkeypatch):
+    """As a disk that is taken out and put in again."""
+    monkeypatch.setattr(live_loops, "CHECKPOINT_FRAMES", 6)
+    memory, away = tmp_path / "drive.ssrdb", tmp_path / "away"
+    core = labelled(memory=memory)
+    memory.rename(away)
+    told = updates(core, SEEDS[:14])
+    away.rename(memory)
+    told += updates(core, SEEDS[14:], 14)
+    assert [each.result for each in told] == seen(labelled())
+    unsaved = [number for number, each in enumerate(told) if "does not exist" in each.unsaved]
+    assert unsaved == [5, 11]
+    assert len(Database.open(memory)) == len(SEEDS) // 6 * 6
+
+
 @pytest.mark.parametrize("encoding", live_loops.CHANNELS)
 @pytest.mark.parametrize("padding", [0, 5])
 def test_pictures_are_read_in_rgb(encoding, padding):

@@ -185,7 +185,7 @@ class LiveLoops:
             return ""
         try:
             self.save()
-        except OSError as error:
+        except (OSError, ValueError) as error:  # a ValueError if the memory cannot be read
             self._saved = len(self._detector)
             return str(error)
         return ""
@@ -196,6 +196,7 @@ class LiveLoops:
         Raises:
             OSError: writing failed; the last checkpoint stays.
         """
+            ValueError: the memory cannot be read, or is not that of this stream any more.
         if self._database is not None:
             self._detector.save(self._database)
         self._saved = len(self._detector)
