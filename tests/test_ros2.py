@@ -45,6 +45,7 @@ def node(monkeypatch, store):
     monkeypatch.setattr(StandInNode, "store", store)
     rclpy = {
         "rclpy": {"init": lambda: None, "try_shutdown": lambda: None},
+        "rclpy.executors": {"ExternalShutdownException": type("Shutdown", (Exception,), {})},
         "rclpy.node": {"Node": StandInNode},
         "rclpy.qos": {
             "DurabilityPolicy": SimpleNamespace(TRANSIENT_LOCAL="latched", VOLATILE="volatile"),
@@ -165,10 +166,14 @@ def show_one(running, types):
     running._on_image(image(types, street(0), 1))
 
 
-def test_the_node_saves_when_it_is_interrupted(node, store, monkeypatch, tmp_path):
+@pytest.mark.parametrize("signal", ["SIGINT", "SIGTERM"])
+def test_the_node_saves_when_it_is_interrupted_or_terminated(
+    node, store, monkeypatch, tmp_path, signal
+):
     def spin(running):
         show_one(running, store.types)
-        raise KeyboardInterrupt
+        shutdown = sys.modules["rclpy.executors"].ExternalShutdownException
+        raise {"SIGINT": KeyboardInterrupt, "SIGTERM": shutdown}[signal]
 
     monkeypatch.setattr(StandInNode, "given", {"memory": str(tmp_path / "db")})
     monkeypatch.setattr(node.rclpy, "spin", spin, raising=False)

@@ -23,6 +23,7 @@ from geometry_msgs.msg import (
     Quaternion,
 )
 from nav_msgs.msg import Odometry
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rtabmap_msgs.msg import GlobalDescriptor
@@ -160,8 +161,8 @@ def _time(nanoseconds: int) -> Time:
 
 
 def main() -> None:
-    """Runs the node until it is interrupted; wrong parameters, and a memory that cannot be written
-    at the end, are one line and exit code 1."""
+    """Runs the node until it is interrupted or terminated; wrong parameters, and a memory that
+    cannot be written at the end, are one line and exit code 1."""
     rclpy.init()
     try:
         node = LoopNode()
@@ -170,7 +171,7 @@ def main() -> None:
         sys.exit(f"ssrvlad_loops: {error}")
     try:
         rclpy.spin(node)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
         try:
