@@ -24,7 +24,7 @@ from helpers import (
 )
 
 import ssrvlad_torch.config as config_module
-from ssrvlad_torch import Database, SSRVLADConfig
+from ssrvlad_torch import Database, Map, SSRVLADConfig
 from ssrvlad_torch.taxonomy import label_space
 
 ONE = torch.ones(1, 480)
@@ -239,6 +239,11 @@ def test_of_a_database_whose_newest_manifests_are_half_written_an_earlier_versio
     fill(Database.open(path), ["lost/1"])
     assert len(loaded(path)) == len(before) + 1
     assert Database.open(path).damage() == []
+
+
+@pytest.mark.parametrize("of", [Database.open, Database.exists, Map.open])
+def test_a_uri_as_a_path_is_no_folder(of):
+    refuses("expected a URI with two slashes", of, Path("s3://town/morning.ssrdb"))
 
 
 def test_a_database_lives_in_a_bucket(bucket):

@@ -189,6 +189,13 @@ def test_a_memory_is_gone_on_from(loops, drive, tmp_path):
     assert stored.poses[:, 0].tolist() == [10 * seed for seed in SEEDS]
 
 
+def test_a_memory_may_be_a_uri(loops, drive, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert loops(drive, "--memory", f"file://{tmp_path}/memory")[0] == 0
+    assert len(Database.open(tmp_path / "memory")) == len(SEEDS)
+    assert not (tmp_path / "file:").exists()
+
+
 def test_a_memory_says_what_ids_mean(ssrvlad, drive, tmp_path):
     memory = tmp_path / "memory.ssrdb"
     missing = "expected the label space of the label maps, --labels-as, or a network for pictures"

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import re
 import threading
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -79,11 +80,14 @@ class Database:
 
     @staticmethod
     def exists(path: str | Path) -> bool:
-        """Whether a database is at ``path``; what is no path is a ValueError."""
+        """Whether a database is at ``path``; what is no path, and a URI that has lost a slash, as a
+        `Path` does, are a ValueError."""
         if not isinstance(path, (str, os.PathLike)):
             raise ValueError(f"expected the folder or URI of a database, got {path!r}")
         if any(Path(path, "_versions").glob("*.manifest")):
             return True
+        if re.match("[A-Za-z][A-Za-z0-9+.-]+:/(?!/)", str(path)):
+            raise ValueError(f"expected a URI with two slashes, as a str and no Path, got {path!r}")
         with suppress(OSError):
             if is_uri(str(path)):
                 engine.open_table(str(path))

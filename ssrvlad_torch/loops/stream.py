@@ -27,17 +27,17 @@ CHECKPOINT_FRAMES = 500
 
 def open_detector(
     config: LoopConfig,
-    memory: Path | None,
+    memory: str | Path | None,
     preset: str | None,
     labels_as: str | LabelSpace,
     network: Network | None = None,
     channels: Sequence[str] | None = None,
     note: Note = do_nothing,
 ) -> tuple[LoopDetector, Database | None]:
-    """A detector, and the database that it was loaded from and is saved to: the folder ``memory``,
-    created if it does not exist; without it, nothing is saved. Without a preset or names of
-    channels, those of the database, or ``default`` and all that the frames have; others, and a
-    damaged database, are a ValueError."""
+    """A detector, and the database that it was loaded from and is saved to: the folder or URI
+    ``memory``, created if it does not exist; without it, nothing is saved. Without a preset or
+    names of channels, those of the database, or ``default`` and all that the frames have; others,
+    and a damaged database, are a ValueError."""
     stored = Database.open(memory) if memory is not None and Database.exists(memory) else None
     head, beside = method_for(stored, preset, labels_as, network, channels, note)
     if memory is None:

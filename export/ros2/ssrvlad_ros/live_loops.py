@@ -96,7 +96,8 @@ class LiveLoops:
         config: the settings of the detector.
         sequence: the name of this drive; frames are called ``<sequence>/<nanoseconds>``.
         meanings: see `LabelTable`.
-        memory: database that stores the frames, created if it does not exist; without, none.
+        memory: database, a folder or URI, that stores the frames, created if it does not exist;
+            without, none.
         preset: of the descriptors; without, the memory's, or ``default``.
         check: whether to run `check_head`.
         model: labels pictures; without, frames are label images.
@@ -112,7 +113,7 @@ class LiveLoops:
         config: LoopConfig,
         sequence: str = "drive",
         meanings: Mapping[str, str] | None = None,
-        memory: Path | None = None,
+        memory: str | Path | None = None,
         preset: str | None = None,
         check: bool = True,
         model: PlaceModel | None = None,
@@ -195,14 +196,14 @@ class LiveLoops:
 
         Raises:
             OSError: writing failed; the last checkpoint stays.
-        """
             ValueError: the memory cannot be read, or is not that of this stream any more.
+        """
         if self._database is not None:
             self._detector.save(self._database)
         self._saved = len(self._detector)
 
 
-def open_tracker(path: Path, model: PlaceModel | None, delay: int = 0) -> Tracker:
+def open_tracker(path: str | Path, model: PlaceModel | None, delay: int = 0) -> Tracker:
     """The tracker of a map of `ssrvlad encode` for the views of a stream; its answer to a frame
     waits for so many later ones.
 
@@ -222,7 +223,7 @@ def space_of(model: PlaceModel | None) -> LabelSpace:
     return model.label_space if model else label_space(LABELS_AS)
 
 
-def channels_beside(memory: Path | None, model: PlaceModel | None) -> list[str]:
+def channels_beside(memory: str | Path | None, model: PlaceModel | None) -> list[str]:
     """Names of the channels beside that of label maps: those of a memory that exists, or all that
     the stream gives.
 

@@ -75,11 +75,11 @@ class LoopNode(Node):
             config,
             self._parameter("sequence", "drive"),
             meanings_of(self._parameter("meanings", [""])),
-            Path(memory) if memory else None,
+            memory or None,
             preset or None,
             check,
             model,
-            open_tracker(Path(town), model, delay) if town else None,
+            open_tracker(town, model, delay) if town else None,
         )
         self._pose = None
         latched = self._parameter("latched", True)

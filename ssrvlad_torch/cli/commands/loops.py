@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ...encoding.results import Skipped
     from ...loops.result import LoopResult
 
-_MEMORY = "Database to store the frames in; one that exists is continued where it was."
+_MEMORY = "Folder or URI to store the frames in; a database that exists is continued where it was."
 
 
 def loops(
@@ -38,7 +38,7 @@ def loops(
         max=1,
     ),
     sweep: bool = option("Describe each frame from three anchors.", default=LoopConfig.sweep),
-    memory: Path | None = option(_MEMORY),
+    memory: str | None = option(_MEMORY),
     picture: Path | None = option("Picture to write: the loops on the trajectory."),
     tolerance_metres: float | None = option(
         "Measure precision and recall: largest distance of a right loop in metres."
