@@ -22,6 +22,7 @@ from torch import nn
 
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.segmentation import segmenter as segmentation
+from ssrvlad_torch.segmentation.cache import SegmentedCache
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
@@ -112,6 +113,28 @@ def test_the_cache_is_bounded_and_keeps_what_was_used_last(photos, cache, tmp_pa
     assert used in left
     assert first - left
     assert left - first, "the new one is there"
+
+
+def test_pictures_that_come_one_by_one_read_the_folder_of_the_cache_once(
+    photos, cache, monkeypatch
+):
+    scans, bounded = [], SegmentedCache._bounded
+    monkeypatch.setattr(SegmentedCache, "_bounded", lambda of: scans.append(of) or bounded(of))
+    segmenter = Segmenter(colour_network(), SPACE, PLAIN, cache)
+    for file in find_image_files([photos]):
+        assert len([*segmenter.segmented([file])]) == 1
+    assert (len(entries(cache)), len(scans)) == (5, 1)
+
+
+def test_what_other_processes_store_counts_for_the_bound(photos, cache, tmp_path, monkeypatch):
+    monkeypatch.setattr("ssrvlad_torch.segmentation.cache.UNSEEN", 0)
+    segmenter = Segmenter(colour_network(), SPACE, PLAIN, cache)
+    run(segmenter, str(write_photos(tmp_path / "first", [20])))
+    run(Segmenter(colour_network(), SPACE, PLAIN, cache), photos)
+    largest = sum(entry.stat().st_size for entry in entries(cache))
+    monkeypatch.setattr("ssrvlad_torch.segmentation.cache.LARGEST", largest)
+    run(segmenter, str(write_photos(tmp_path / "last", [21])))
+    assert sum(entry.stat().st_size for entry in entries(cache)) <= largest
 
 
 def test_label_maps_made_before_ctrl_c_are_kept(photos, cache, monkeypatch):

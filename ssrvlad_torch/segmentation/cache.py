@@ -18,8 +18,9 @@ from ..datasets.label_files import LabelMap
 from ..datasets.names import absolute
 from ..files import parse_json, path_within, read_npz, read_yaml, replacing
 
-LARGEST = 10 * 10**9
-"""Most bytes of a cache."""
+LARGEST, UNSEEN = 10 * 10**9, 0.01
+"""Most bytes of a cache, and the part of them that is stored before the folder is measured anew:
+other processes store there too."""
 
 Signs = npt.NDArray[np.uint8]
 
@@ -31,7 +32,7 @@ class SegmentedCache:
 
     def __init__(self, folder: Path, key: str, features: str = "") -> None:
         self.folder, self.key, self.features = folder, key, features
-        self._size: int | None = None
+        self._size = self._measured_above = 0.0
 
     def get(self, picture: str) -> tuple[LabelMap, Signs | None] | None:
         """The label map and features of a picture by its digest; ``None`` if missing or damaged."""
@@ -55,10 +56,10 @@ class SegmentedCache:
             arrays["features"] = features
         with replacing(entry) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, **arrays)
-        if self._size is not None:
-            self._size += entry.stat().st_size
-        if self._size is None or self._size > LARGEST:
+        self._size += entry.stat().st_size
+        if self._size > min(self._measured_above, LARGEST):
             self._size = self._bounded()
+            self._measured_above = self._size + UNSEEN * LARGEST
 
     def _entry(self, picture: str) -> Path:
         return self.folder / self.key / picture[:2] / f"{picture}.npz"

@@ -105,6 +105,7 @@ class Segmenter:
         defaults = vars(config) if config else {}
         self.labels = LabelNetwork(network, space, SegmenterConfig.of({**defaults, **settings}))
         self.cache, self.name, self.state = cache, name, ""
+        self._caches = dict[tuple[Path, str, str], SegmentedCache]()
 
     def __getstate__(self) -> dict[str, object]:
         """Pickles no features: the session of a graph, which gives them, is not pickled either."""
@@ -214,7 +215,8 @@ class Segmenter:
         and missing features, are a ValueError; a cache that cannot be written is an OSError."""
         extractor, cache = self.features if features else None, None
         if self.cache is not None:
-            cache = SegmentedCache(self.cache, self.key(), extractor.key if extractor else "")
+            of = self.cache, self.key(), extractor.key if extractor else ""
+            cache = self._caches.setdefault(of, SegmentedCache(*of))
 
         def read(file: FrameFile) -> Segmented | _Picture:
             content = file.read()
