@@ -1,5 +1,6 @@
 """The command line as a user meets it: help, exit codes, one-line errors, Ctrl-C."""
 
+import errno
 import io
 import json
 import os
@@ -7,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -65,6 +67,42 @@ def test_debug_shows_the_traceback(ssrvlad):
 
 def test_a_closed_pipe_is_no_error(database, maps):
     assert_no_reader_is_no_error(sys.executable, "-m", "ssrvlad_torch", "query", database, maps)
+
+
+def test_another_pipe_that_breaks_is_an_error(refusal, maps, tmp_path, monkeypatch):
+    broken = BrokenPipeError(errno.EPIPE, "Broken pipe")
+    monkeypatch.setattr("ssrvlad_torch.map.Map.open", Mock(side_effect=broken))
+    assert refusal("encode", maps, "-o", tmp_path / "db").endswith(": [Errno 32] Broken pipe")
+
+
+@pytest.mark.parametrize(
+    ("module", "at_import", "made", "line"),
+    [
+        ("ends_at_import", "sys.exit(2)", "0", "'ends_at_import:make': it calls sys.exit(2)"),
+        ("ends_when_made", "", "sys.exit('no weights')", "it calls sys.exit('no weights')"),
+        ("ends_at_work", "", "Ends(3, 3, 1)", "a network or a library calls sys.exit(None)"),
+    ],
+)
+def test_a_network_that_ends_the_program_is_an_error(
+    ssrvlad, tmp_path, monkeypatch, module, at_import, made, line
+):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / f"{module}.py").write_text(
+        "import sys\nfrom torch import nn\nclass Ends(nn.Conv2d):\n"
+        f"    def forward(self, images): sys.exit()\n{at_import}\ndef make(): return {made}\n"
+    )
+    photos = write_streets(tmp_path / "photos", range(1), (60, 80))
+    network = ("--segmenter", f"{module}:make", "--labels-as", SPACE)
+    code, out, err = ssrvlad("encode", photos, "-o", tmp_path / "db", *network)
+    assert (code, out) == (2, "") and line in err[-1]
+    assert all(each.startswith("ssrvlad: ") for each in err), err
+
+
+def test_sigterm_while_a_network_is_imported_is_no_fault_of_it(ssrvlad, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "is_ended.py").write_text("import sys\nsys.exit(143)\n")
+    code, out, err = ssrvlad("labels", "is_ended:make")
+    assert (code, out, err) == (143, "", ["ssrvlad: terminated"])
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import is handled."""
 
 import os
 import re
+import select
 import signal
 import sys
 import warnings
@@ -33,9 +34,11 @@ def main() -> None:
     try:
         code = _run(arguments, debug=len(arguments) < len(sys.argv) - 1)
         sys.stdout.flush()
-    except BrokenPipeError:  # the reader stopped, as in `ssrvlad query ... | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = 0
+    except BrokenPipeError:
+        code = WRONG_USE
+        if _is_unread(sys.stdout):  # the reader stopped, as in `ssrvlad query ... | head`
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            code = 0
     except KeyboardInterrupt:
         code = INTERRUPTED
     except SystemExit as end:
@@ -57,19 +60,24 @@ def _run(arguments: list[str], debug: bool) -> int:
             if not argument or (argument.startswith("--") and argument.endswith("=")):
                 name = argument.removesuffix("=") or f"the argument after {before}"
                 raise ValueError(f"{name} is empty; expected a text")
-        code: int = app(arguments, standalone_mode=False)
+        try:
+            code: int = app(arguments, standalone_mode=False)
+        except SystemExit as end:
+            if end.code == TERMINATED:
+                raise
+            if isinstance(end.__context__, OSError):  # a pipe broke, for which typer exits
+                raise end.__context__ from None
+            raise ValueError(f"a network or a library calls sys.exit({end.code!r})") from end
         return code
-    except SystemExit as end:
-        if end.code == TERMINATED:
-            raise
-        raise BrokenPipeError from None  # typer exits with another code when a pipe breaks
     except typer.Abort:
         return INTERRUPTED
     except typer.TyperException as error:
         note(_refusal(error))
-    except (KeyboardInterrupt, GeneratorExit):
+    except (KeyboardInterrupt, GeneratorExit, SystemExit):
         raise
     except BaseException as error:  # also a panic of Lance
+        if isinstance(error, BrokenPipeError) and _is_unread(sys.stdout):
+            raise
         message = _sentence(error)
         if debug or message is None:
             import traceback
@@ -77,6 +85,18 @@ def _run(arguments: list[str], debug: bool) -> int:
             traceback.print_exception(error)
         note(message or f"an error in ssrvlad itself: {error!r}")
     return WRONG_USE
+
+
+def _is_unread(stream: Any) -> bool:
+    """Whether a stream is a pipe that nobody reads; where that cannot be asked, it is."""
+    if not hasattr(select, "poll"):
+        return True
+    try:
+        poll = select.poll()
+        poll.register(stream, 0)
+        return bool(poll.poll(0))
+    except (OSError, ValueError):  # a stream in memory
+        return False
 
 
 def _refusal(error: Any) -> str:

@@ -1,9 +1,10 @@
 """Networks by name: a graph, a YAML file, a published model, or a function that returns one."""
 
 import dataclasses
+import signal
 import sys
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -161,7 +162,8 @@ def _made(name: str, arguments: Mapping[str, Any], folder: Path | None) -> nn.Mo
         raise ValueError(f"no network {name!r}; expected {_WHERE}")
     sys.path[:0] = places
     try:
-        loaded = import_module(module)
+        with _no_exit():
+            loaded = import_module(module)
         make = getattr(loaded, function)
     except Exception as error:  # a user's code
         raise ValueError(f"no network {name!r}: {one_line(error)}; expected {_WHERE}") from error
@@ -171,13 +173,25 @@ def _made(name: str, arguments: Mapping[str, Any], folder: Path | None) -> nn.Mo
     if file and beside.is_file() and beside.resolve() != Path(file).resolve():
         raise ValueError(f"another module {module} is loaded already, {file}; rename {beside}")
     try:
-        network = make(**arguments)
+        with _no_exit():
+            network = make(**arguments)
     except Exception as error:  # a user's code
         values = ", ".join(f"{key}: {value}" for key, value in arguments.items())
         raise ValueError(f"{name}({values}) fails: {_reason(error)}") from error
     if not isinstance(network, nn.Module):
         raise ValueError(f"{name} gives a {type(network).__name__}; expected an nn.Module")
     return network
+
+
+@contextmanager
+def _no_exit() -> Iterator[None]:
+    """Turns a ``sys.exit`` of a user's code into an error, but not that of SIGTERM."""
+    try:
+        yield
+    except SystemExit as end:
+        if end.code == 128 + signal.SIGTERM:
+            raise
+        raise RuntimeError(f"it calls sys.exit({end.code!r})") from end
 
 
 def _reason(error: Exception) -> str:
