@@ -94,6 +94,13 @@ def test_a_tracker_goes_on_from_a_file_with_the_names_that_wait(drawn, tmp_path)
         )
 
 
+def test_a_state_may_be_larger_than_other_files(drawn, tmp_path, monkeypatch):
+    monkeypatch.setenv("SSRVLAD_FILE_LIMIT", "100")
+    tracker = drawn.tracker()
+    tracker.save(tmp_path / "state")
+    drawn.tracker().load(tmp_path / "state")
+
+
 @pytest.mark.parametrize("step", [12, pytest.param(1, marks=pytest.mark.slow)])
 def test_after_an_interrupted_update_later_answers_have_their_names(drawn, tmp_path, step):
     """The frame was taken, or it was not; each later answer is to the frame of its name."""

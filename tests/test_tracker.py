@@ -90,6 +90,39 @@ def test_saving_and_going_on_changes_no_bit(stop):
     )
 
 
+def test_a_tracker_reads_all_rows_of_its_map_for_one_state_alone():
+    """Seen by rows that are changed, which a map does not allow."""
+    rows = np.eye(40, dtype=np.float32)
+    town = DescriptorMap([40])
+    town.add("v", rows)
+    tracker = DescriptorTracker(town)
+    tracker.update({"v": rows[5].copy()})
+    first = tracker.save()
+    tracker.update({"v": np.zeros(40, np.float32)})
+    second = tracker.save()
+    rows[7] = 0
+    unread = DescriptorTracker(town)
+    with pytest.raises(ValueError, match="this map"):
+        unread.load(first)
+    tracker.update({"v": np.zeros(40, np.float32)})
+    assert tracker.save()[-24:-16] == second[-24:-16] == first[-24:-16]
+
+
+def test_a_state_is_that_of_the_last_query():
+    town, queries = town_and_queries()
+    tracker, states = DescriptorTracker(town, delay=2), []
+    for row in range(3):
+        tracker.update({name: array[row] for name, array in queries.items()})
+        states.append(tracker.save())
+        assert tracker.save() == states[-1]
+    tracker.finish()
+    states.append(tracker.save())
+    for state, count, waiting in zip(states, (1, 2, 3, 3), (1, 2, 2, 0), strict=True):
+        other = DescriptorTracker(town, delay=2)
+        other.load(state)
+        assert (other.count, len(other.finish())) == (count, waiting)
+
+
 def test_a_state_is_of_its_map_and_its_settings_and_whole():
     town, queries = town_and_queries()
     tracker = DescriptorTracker(town)

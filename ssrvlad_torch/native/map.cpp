@@ -301,7 +301,7 @@ int64_t ssrvlad_tracker_save(ssrvlad_tracker *tracker, void *state, int64_t size
   int64_t bytes = -1;
   guarded([&] {
     require(tracker && (state || size <= 0));
-    const std::vector<std::uint8_t> saved = tracker->save();
+    const std::vector<std::uint8_t> &saved = tracker->save();
     bytes = static_cast<int64_t>(saved.size());
     if (bytes <= size) std::copy(saved.begin(), saved.end(), static_cast<std::uint8_t *>(state));
   });

@@ -76,6 +76,7 @@ void Tracker::update(const ssrvlad_queries *queries, const Size *excluded, int t
   const Size around = (delay_ + MODEL.around + 1) * MODEL.streams;
   require(is_whole_, "a tracker that memory was enough for");
   is_whole_ = false;
+  forget();
   if (channels_.empty()) open(anchors, threads);
   recent_.push(scores_of(queries, excluded, threads), MODEL.min_frames + around);
   const Size query = count_++;
@@ -178,6 +179,7 @@ Tracker::Chances Tracker::chances_of(Size query, Places &places) {
 }
 
 Answer Tracker::answer() {
+  forget();
   Answer answer = std::move(alone_.front());
   Places places(1, top_);
   Chances chances = chances_of(answer.query, places);
@@ -223,21 +225,27 @@ void Tracker::judge(const Chances &chances, Places &places, Answer &answer) {
   answer.together = {static_cast<float>(together)};
 }
 
+std::uint64_t Tracker::digest_of_map() {
+  if (!map_digest_) map_digest_ = map_.digest();
+  return *map_digest_;
+}
+
 std::uint64_t Tracker::digest_of_steps() const {
   const Size steps[] = {top_, delay_, standardised_, swept_};
   return digest_of(allowed_.data(), allowed_.size(), digest_of(steps, sizeof steps, 0));
 }
 
 // The state, and after it the digests of the map, of the steps, and of all this.
-std::vector<std::uint8_t> Tracker::save() {
+const std::vector<std::uint8_t> &Tracker::save() {
+  if (!saved_.empty()) return saved_;
   std::vector<std::uint8_t> bytes;
   Archive archive(bytes);
   keep(archive);
-  std::uint64_t map = map_.digest(), steps = digest_of_steps();
+  std::uint64_t map = digest_of_map(), steps = digest_of_steps();
   archive(map), archive(steps);
   std::uint64_t all = digest_of(bytes.data(), bytes.size(), STATE);
   archive(all);
-  return bytes;
+  return saved_ = std::move(bytes);
 }
 
 void Tracker::load(const std::uint8_t *state, Size size) {
@@ -248,9 +256,10 @@ void Tracker::load(const std::uint8_t *state, Size size) {
   require(bytes >= 0, whole);
   std::memcpy(digests, state + bytes, sizeof digests);
   require(digests[2] == digest_of(state, static_cast<std::size_t>(size) - sizeof digests[2], STATE), whole);
-  require(digests[0] == map_.digest(), "a state of a tracker of this map");
+  require(digests[0] == digest_of_map(), "a state of a tracker of this map");
   require(digests[1] == digest_of_steps(), "a state of a tracker with these steps");
   Archive archive(state, bytes);
+  forget();
   keep(archive);
   require(!archive.left(), whole);
 }

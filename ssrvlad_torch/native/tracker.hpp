@@ -10,6 +10,7 @@
 
 #include <deque>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "evidence.hpp"
@@ -59,8 +60,9 @@ class Tracker {
   bool waits_long_enough() const { return waiting() > delay_; }
   bool standardised() const { return standardised_; }
 
-  // The state. `load` puts it into a new tracker of the same map, made with the same steps; any other is refused.
-  std::vector<std::uint8_t> save();
+  // The state, which is kept until a query or an answer changes it. `load` puts it into a new tracker of the same
+  // map, made with the same steps; any other is refused.
+  const std::vector<std::uint8_t> &save();
   void load(const std::uint8_t *state, Size size);
 
  private:
@@ -87,6 +89,8 @@ class Tracker {
   };
 
   void keep(Archive &archive);
+  void forget() { std::vector<std::uint8_t>().swap(saved_); }
+  std::uint64_t digest_of_map();  // of all its rows, which are read once
   std::uint64_t digest_of_steps() const;  // with the rows that are allowed
   std::vector<float> scores_of(const ssrvlad_queries *queries, const Size *excluded, int threads);
   void open(const std::vector<Size> &anchors, int threads);
@@ -118,6 +122,8 @@ class Tracker {
   std::deque<Chance> chance_;   // and their chances
   std::deque<Size> row_alone_;  // of the first candidate of each of the last queries, judged by itself
   std::deque<Chances> history_;
+  std::optional<std::uint64_t> map_digest_;
+  std::vector<std::uint8_t> saved_;  // the state, if nothing has changed it
 };
 
 }  // namespace places

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -122,7 +123,7 @@ class Tracker:
         """Goes on from a file that `save` wrote: answers are the same as if the sequence had not
         been interrupted. A state of another map or other settings, a damaged one, and a tracker
         that has taken a frame are a ValueError, a file that cannot be read is an OSError."""
-        about, _, state = read_bytes(path).partition(b"\n")
+        about, _, state = read_bytes(path, sys.maxsize).partition(b"\n")  # it has a digest
         try:
             waiting = {
                 int(number): (str(name), None if stamp is None else float(stamp))
