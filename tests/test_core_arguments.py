@@ -1,6 +1,7 @@
 """The C functions of the core on wrong arguments: a status and a reason, and no crash."""
 
 import ctypes
+import json
 
 import numpy as np
 import pytest
@@ -9,7 +10,10 @@ from helpers import outcome
 from ssrvlad_torch.config import CHOICES, PRESETS, SSRVLADConfig
 from ssrvlad_torch.native import FOLDER, LIBRARY, last_error
 from ssrvlad_torch.native.headers import number, struct
-from ssrvlad_torch.native.operator import settings_of
+from ssrvlad_torch.native.loops import Channel, Loops
+from ssrvlad_torch.native.map import DescriptorMap
+from ssrvlad_torch.native.operator import _Head, settings_of
+from ssrvlad_torch.native.tracker import DescriptorTracker
 
 FOUND, NUMBERS, PLANES = np.empty(8), np.full(4, 0.5), np.zeros((16, 16), np.uint8)
 FRAMES, START, MANY = np.eye(4, 8, dtype=np.float32), np.zeros(1, np.int64), 1 << 62
@@ -81,6 +85,24 @@ def test_where_memory_runs_short_the_status_says_so_and_the_stream_goes_on(core)
     handle, reserve = ctypes.c_void_p(loops), core.library.ssrvlad_loops_reserve
     assert [reserve(handle, frames) for frames in (1 << 40, 9)] == [number("NO_MEMORY"), 0]
     core.library.ssrvlad_loops_free(handle)
+
+
+@pytest.mark.parametrize("name", ["map", "tracker", "loops", "operator"])
+def test_what_cannot_be_made_for_want_of_memory_is_a_memory_error(name, core, monkeypatch):
+    town = DescriptorMap([3])
+    town.add("x", None)
+    stream = Loops([Channel("x", (1 << 20,))])
+    make = {
+        "map": lambda: DescriptorMap([3]),
+        "tracker": lambda: DescriptorTracker(town),
+        "loops": lambda: Loops([Channel("x", (3,))]),
+        "operator": lambda: _Head.__wrapped__(json.dumps(SSRVLADConfig().to_dict())),
+    }[name]
+    for function in ("map_new_for", "tracker_new_for", "loops_new_for", "new_for"):
+        monkeypatch.setattr(core.library, f"ssrvlad_{function}", lambda *_: None)
+    core.library.ssrvlad_loops_reserve(stream._handle, 1 << 40)
+    with pytest.raises(MemoryError, match="not enough memory"):
+        make()
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import sys
 from functools import cache
 from typing import NamedTuple
 
-from .headers import FOLDER, number, typed
+from .headers import FOLDER, typed
 
 LIBRARY = "libssrvlad" + {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
@@ -37,13 +37,20 @@ def last_error() -> str:
     return ctypes.string_at(address).decode()
 
 
+def failure(kind: type[Exception] = ValueError, what: str = "") -> Exception:
+    """The error of the last call of this thread that failed, in the words of the core: a
+    MemoryError if memory was short, else one of this kind that begins with ``what`` was
+    refused."""
+    reason = last_error()
+    if reason == "not enough memory":
+        return MemoryError(reason)
+    return kind(f"{what}: {reason}" if what else reason)
+
+
 def require(status: int, what: str = "") -> None:
-    """Raises what a return code of the core means, in its words: a MemoryError, or a ValueError
-    that begins with ``what`` was refused."""
-    if status == number("NO_MEMORY"):
-        raise MemoryError(last_error())
+    """Raises what a return code of the core means; see `failure`."""
     if status:
-        raise ValueError(f"{what}: {last_error()}" if what else last_error())
+        raise failure(what=what)
 
 
 @cache

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from . import last_error, require, required
+from . import failure, require, required
 from .addresses import address
 from .headers import number, struct
 
@@ -93,6 +93,7 @@ class Loops:
 
     Raises:
         RuntimeError: there is no native core, or it refuses a setting or a shape.
+        MemoryError: memory is short.
     """
 
     def __init__(
@@ -108,7 +109,7 @@ class Loops:
         new = self._library.ssrvlad_loops_new_for
         handle = new(number("INTERFACE"), settings, described, len(channels))
         if not handle:
-            raise RuntimeError(last_error())
+            raise failure(RuntimeError)
         self._handle = ctypes.c_void_p(handle)
         weakref.finalize(self, self._library.ssrvlad_loops_free, self._handle)
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from . import last_error, require, required
+from . import failure, require, required
 from .addresses import address
 from .headers import number, struct
 
@@ -105,7 +105,8 @@ class DescriptorMap:
 
     Raises:
         ValueError: a sequence has no frame, or the rows of the shortlist do not rise.
-        RuntimeError: the core is not there, or memory is short.
+        RuntimeError: the core is not there.
+        MemoryError: memory is short.
 
     Examples:
         >>> import numpy as np
@@ -135,7 +136,7 @@ class DescriptorMap:
             )
             self._map = core.ssrvlad_map_of_for(number("INTERFACE"), drives, listed)
         if not self._map:
-            raise ValueError(last_error())
+            raise failure()
         weakref.finalize(self, core.ssrvlad_map_free, ctypes.c_void_p(self._map))
         self._channels: dict[str, Array | None] = {}
         self.channels = MappingProxyType(self._channels)

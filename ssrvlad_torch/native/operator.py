@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from ..config import CHOICES, SSRVLADConfig
-from . import core, last_error
+from . import core, failure
 from .addresses import address
 from .headers import number, struct
 
@@ -30,8 +30,8 @@ def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tenso
     """The descriptors ``(B, D)`` float32 of label maps ``(B, H, W)`` of any integer dtype; the
     images are shared among torch's threads. The table and its origin are from `category_table`, the
     settings are those of a config in JSON, without the label space. An id that is not in the table
-    is an UnknownIdError, short memory and a size that the native core does not accept are a
-    RuntimeError."""
+    is an UnknownIdError, a size that the native core does not accept is a RuntimeError, short
+    memory a MemoryError."""
     head = _Head(settings)
     if labels.dtype == torch.uint64:
         wide = labels.to(torch.int64)
@@ -56,7 +56,7 @@ def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tenso
             f"label id {first} is not in the label space; {status} pixels have such ids"
         )
     if status < 0:
-        raise RuntimeError(f"label maps {tuple(labels.shape)}: {last_error()}")
+        raise failure(RuntimeError, f"label maps {tuple(labels.shape)}")
     return descriptors
 
 
@@ -90,5 +90,5 @@ class _Head:
         self.library, self.length = library, config.length
         self.handle = library.ssrvlad_new_for(number("INTERFACE"), settings_of(config))
         if not self.handle:
-            raise RuntimeError(last_error())
+            raise failure(RuntimeError)
         weakref.finalize(self, library.ssrvlad_free, ctypes.c_void_p(self.handle))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from . import last_error, require, required
+from . import failure, require, required
 from .headers import number
 from .map import Array, Call, Decision, DescriptorMap, Target
 
@@ -55,7 +55,7 @@ class DescriptorTracker:
         call = Call(town, nothing, self._settings, allowed, None)  # it holds what steps point to
         self._tracker = core.ssrvlad_tracker_new_for(number("INTERFACE"), town.address, call.steps)
         if not self._tracker:
-            raise ValueError(last_error())
+            raise failure()
         weakref.finalize(self, core.ssrvlad_tracker_free, ctypes.c_void_p(self._tracker))
 
     @property
@@ -95,7 +95,7 @@ class DescriptorTracker:
         save = required().ssrvlad_tracker_save
         size = save(self._tracker, None, 0)
         if size < 0:
-            raise MemoryError(last_error())
+            raise failure()
         state = np.empty(size, np.uint8)
         save(self._tracker, state.ctypes.data, size)
         return state.tobytes()
