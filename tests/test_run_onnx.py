@@ -1,9 +1,11 @@
 """`run_onnx.py`, the script without torch: against the command line, what it reads and refuses."""
 
+import errno
 import sys
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import loops_onnx
 import numpy as np
@@ -15,6 +17,7 @@ from helpers import (
     assert_no_reader_is_no_error,
     flip_byte,
     outcome,
+    refuses,
     street,
     without,
 )
@@ -73,6 +76,35 @@ def test_a_database_of_another_fingerprint_is_refused(head, maps, town, run):
     code, _, (warning,) = run(head, maps, "--database", town)
     assert code == 0
     assert "has no fingerprint" in warning
+
+
+def test_a_database_that_cannot_be_written_leaves_the_earlier_one(
+    head, maps, town, tmp_path, run, monkeypatch
+):
+    np.save(f"{town}.poses.npy", np.zeros((6, 3)))
+    before = {path: path.read_bytes() for path in tmp_path.glob("town*")}
+    monkeypatch.setattr(np, "save", Mock(side_effect=OSError(errno.ENOSPC, "full")))
+    (maps / "000.png").rename(maps / "100.png")
+    code, _, (error,) = run(head, maps, "--save-descriptors", town)
+    assert (code, error) == (2, f"run_onnx: {town}: No space left on device")
+    assert {path: path.read_bytes() for path in tmp_path.glob("town*")} == before
+
+
+def test_a_database_that_is_cut_off_between_its_files_is_refused(
+    head, maps, town, run, monkeypatch
+):
+    """It would have the ids of one run, and the descriptors of another."""
+
+    def flush(path):
+        if path.name.startswith(".town.npy.fingerprint"):
+            raise OSError(errno.EIO, "torn")
+
+    (maps / "000.png").rename(maps / "100.png")
+    with monkeypatch.context() as torn:
+        torn.setattr("ssrvlad_torch.files.flush", flush)
+        assert run(head, maps, "--save-descriptors", town)[0] == 2
+    _, _, (error,) = run(head, maps, "--database", town)
+    assert "town.npy.frames.txt does not exist" in error
 
 
 def test_an_empty_frame_matches_nothing_and_is_no_candidate(head, maps, tmp_path, run):
@@ -216,6 +248,13 @@ def test_a_photograph_needs_no_option(coloured, tmp_path, run):
     Image.fromarray(street(3, 60, 90)).save(tmp_path / "map.png")
     code, _, err = run(place, tmp_path / "map.png")
     assert code == 3 and "expected a photograph, got a label map" in err[0]
+
+
+@pytest.mark.parametrize("names", [("place",), ("net", "head")])
+def test_a_picture_on_which_the_graph_fails_is_a_value_error(coloured, names):
+    """ONNX Runtime raises errors of its own, here for bytes as floats."""
+    model = (Model if len(names) == 1 else Split)(*(coloured / f"{name}.onnx" for name in names))
+    refuses(r"the file fails at \(1, 6, 9, 3\): ", model.see_array, np.zeros((6, 9, 3), np.float32))
 
 
 def test_network_and_head_in_two_files(coloured, tmp_path, run):

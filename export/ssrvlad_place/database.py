@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -146,21 +147,24 @@ def save(
     fingerprints: Mapping[str, str],
 ) -> None:
     """Writes frames as a database: the array of descriptors, those of the other channels, each with
-    its fingerprint, and the ids beside them, without poses. An id of several lines is a
-    ValueError."""
+    its fingerprint, and the ids beside them, without poses. An id of several lines is a ValueError.
+    All files are written before the first replaces one of an earlier database, and the ids come
+    last: a database that was cut off there has none, and is refused."""
     for frame in frames:
         require_one_line(frame)
-    text = "".join(f"{frame}\n" for frame in frames)
-    beside(path, "frames").write_text(text, encoding="utf-8", newline="\n")
-    array_of(path, "poses").unlink(missing_ok=True)
-    for name in reversed(TRUST):
-        array = array_of(path, name)
-        if name not in fingerprints:
-            array.unlink(missing_ok=True)
-            continue
-        beside(array, "fingerprint").write_text(f"{fingerprints[name]}\n", newline="\n")
-        with replacing(array) as temporary, temporary.open("wb") as file:
-            np.save(file, np.stack([frame.channels[name] for frame in descriptions]))
+    ids = beside(path, "frames")
+    old = [ids, *(array_of(path, name) for name in {"poses", *TRUST} - {*fingerprints})]
+    with ExitStack() as stack:  # the last file replaces first
+        text = "".join(f"{frame}\n" for frame in frames)
+        stack.enter_context(replacing(ids)).write_text(text, "utf-8", newline="\n")
+        for name, fingerprint in fingerprints.items():
+            array = array_of(path, name)
+            mark = stack.enter_context(replacing(beside(array, "fingerprint")))
+            mark.write_text(f"{fingerprint}\n", newline="\n")
+            with stack.enter_context(replacing(array)).open("wb") as file:
+                np.save(file, np.stack([frame.channels[name] for frame in descriptions]))
+        for earlier in old:
+            earlier.unlink(missing_ok=True)
 
 
 def _threads() -> int:

@@ -19,7 +19,7 @@ from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
 from ssrvlad_torch.deployment.differences import TOLERANCE
 from ssrvlad_torch.deployment.metadata import PREFIX, Metadata
-from ssrvlad_torch.files import naming, parse_npy
+from ssrvlad_torch.files import naming, one_line, parse_npy
 from ssrvlad_torch.segmentation.onnx_files import CPU, open_session
 from ssrvlad_torch.taxonomy import LabelSpace
 
@@ -119,12 +119,15 @@ class Model:
 
         Raises:
             ValueError: it has ids outside the label space, more than the file can count, or another
-                size than the fixed size of the file; or the network sees nothing in it.
+                size than the fixed size of the file; or the network fails, or sees nothing in it.
         """
         expected, shape = self.input.shape, (1, *array.shape)
         if any(isinstance(n, int) and n != m for n, m in zip(expected, shape, strict=True)):
             raise ValueError(f"the file takes {self.input.name} of {tuple(expected)}, got {shape}")
-        descriptor, unknown, *batches = self._run(array[None])
+        try:
+            descriptor, unknown, *batches = self._run(array[None])
+        except Exception as error:  # ONNX Runtime has no common error type
+            raise ValueError(f"the file fails at {shape}: {one_line(error)}") from error
         if unknown[0]:
             channels = {"labels": 1, "logits": array.shape[0]}.get(self.input.name, 3)
             raise ValueError(
