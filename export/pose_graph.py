@@ -113,26 +113,21 @@ def read_loops(lines: Iterable[str]) -> tuple[list[str], list[tuple[str, str, fl
     return list(frames), loops
 
 
-def read_odometry(path: Path, frames: Sequence[str]) -> tuple[Floats, list[float]]:
-    """Poses ``(N, 3)`` of frames, NaN where unknown, and their stamps in seconds: those of the file
-    or, where it has none, the numbers of the frames.
+def read_odometry(path: Path, frames: Sequence[str]) -> tuple[Floats, Sequence[float]]:
+    """Poses ``(N, 3)`` of frames, NaN where unknown, and their stamps in seconds: their times or,
+    where the file has none, their numbers.
 
     Raises:
         ValueError: the file has another form, or does not fit the frames.
     """
-    stamps = [float(number) for number in range(len(frames))]
+    stamps: Sequence[float] = range(len(frames))
     if path.suffix == ".csv":
         table = read_poses(path)
         poses = [table.get(frame, table.get(frame.rpartition("/")[2])) for frame in frames]
         found = [pose or Pose(math.nan, math.nan, math.nan) for pose in poses]
     else:
-        trajectory = read_trajectory(path)
-        found = trajectory.of_frames([frame.rpartition("/")[2] for frame in frames])
-        start = 0
-        for number, pose in enumerate(found if trajectory.stamps else []):
-            if not math.isnan(pose.x):
-                start = trajectory.poses.index(pose, start)
-                stamps[number] = trajectory.stamps[start]
+        names = [frame.rpartition("/")[2] for frame in frames]
+        stamps, found = read_trajectory(path).timed(names)
     known = np.array(found, np.float64).reshape(-1, 3)
     if not np.isfinite(known).all(axis=1).any():
         raise ValueError(f"{path}: no pose with a heading for {len(frames)} frames")

@@ -10,7 +10,7 @@ import pose_graph
 import pytest
 from helpers import outcome, refuses
 from PIL import Image
-from pose_graph import Loop, correct, in_front, moved, read_loops, tum_line
+from pose_graph import Loop, correct, in_front, moved, read_loops, read_odometry, tum_line
 
 from ssrvlad_torch.datasets.pose_tables import read_poses, write_poses
 from ssrvlad_torch.datasets.poses import Pose
@@ -147,6 +147,13 @@ def test_the_program_writes_the_corrected_drive(run, drive, odometry):
     assert words.count("VERTEX_SE2") == 301
     assert words.count("EDGE_SE2") == 300 + 201
     assert Image.open(out / "drive.png").size > (400, 200)
+
+
+def test_frames_at_a_standstill_have_their_own_stamps(tmp_path):
+    (tmp_path / "still.tum").write_text("".join(tum_line(t, Pose(1, 2, 0)) for t in range(4)))
+    poses, stamps = read_odometry(tmp_path / "still.tum", [f"drive/{t}.01" for t in range(4)])
+    assert list(stamps) == [0.01, 1.01, 2.01, 3.01]
+    np.testing.assert_allclose(poses, [[1, 2, 0]] * 4, atol=1e-6)
 
 
 @pytest.mark.parametrize(

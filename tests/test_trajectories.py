@@ -157,7 +157,7 @@ def test_poses_are_interpolated_by_time_and_the_shorter_turn():
     assert exact == poses[1]
     assert after[:2] == (15, 20) and math.isnan(after.heading)
     assert math.isnan(gap.x) and math.isnan(before.x)
-    assert trajectory.of_frames(["100.5"]) == [quarter]
+    assert trajectory.timed(["100.5"]) == ([100.5], [quarter])
 
 
 START = 764_426_119

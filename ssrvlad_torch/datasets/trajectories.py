@@ -53,34 +53,42 @@ class Trajectory:
     by_number: bool = False
 
     def of_frames(self, names: Sequence[str], stamps: Sequence[float] = ()) -> list[Pose]:
-        """The pose of each frame: the n-th pose, or, if poses have stamps, the pose at its time,
-        which is one of ``stamps`` in seconds or its name, in seconds or a whole number of milli-,
-        micro- or nanoseconds, whichever reaches most of the trajectory. Other numbers of frames
-        than poses, a name that is no time, and no unit that gives poses are a ValueError."""
+        """The pose of each frame; see `timed`."""
+        return self.timed(names, stamps)[1]
+
+    def timed(
+        self, names: Sequence[str], stamps: Sequence[float] = ()
+    ) -> tuple[Sequence[float], list[Pose]]:
+        """The times and the poses of frames: the n-th has time n and the n-th pose, or, if poses
+        have stamps, the pose at its time, which is one of ``stamps`` in seconds or its name, in
+        seconds or a whole number of milli-, micro- or nanoseconds, whichever reaches most of the
+        trajectory. Other numbers of frames than poses, a name that is no time, and no unit that
+        gives poses are a ValueError."""
         if not self.stamps:
             if len(names) != len(self.poses):
                 raise ValueError(
                     f"expected {len(self.poses)} frames, one per pose, got {len(names)}"
                 )
-            return self.poses
+            return range(len(names)), self.poses
         if self.by_number:
             with naming("expected frames named by their numbers"):
-                count, poses = self._reached([parse_number(name) for name in names])
+                numbers = [parse_number(name) for name in names]
+            count, poses = self._reached(numbers)
             if not count:
                 raise ValueError(
                     f"no pose is of one of the {len(names)} frames, for example {names[0]!r}; "
                     f"expected numbers between {self.stamps[0]:.0f} and {self.stamps[-1]:.0f}"
                 )
-            return poses
-        times = map(self._reached, _times_of(names, stamps))
-        count, poses = max(times, key=lambda pair: pair[0])
+            return numbers, poses
+        possible = [(*self._reached(times), times) for times in _times_of(names, stamps)]
+        count, poses, times = max(possible, key=itemgetter(0))
         if not count:
             raise ValueError(
                 f"no pose is near in time to the {len(names)} frames, for example {names[0]!r}; "
                 f"expected names in seconds between {self.stamps[0]} and {self.stamps[-1]}, or in "
                 "ms, us or ns, or a video or bag of that time"
             )
-        return poses
+        return times, poses
 
     def _reached(self, times: Sequence[float]) -> tuple[int, list[Pose]]:
         """How much of the trajectory some times reach, and the poses then: in too small a unit all
