@@ -46,7 +46,7 @@ from ssrvlad_torch.files import write_picture
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.loops.picture import draw_loops
 from ssrvlad_torch.loops.result import LoopResult
-from ssrvlad_torch.loops.stream import candidates_of, loops_of
+from ssrvlad_torch.loops.stream import loops_of, rows_of_candidates
 
 MEASURED_ON = range(6)
 CHECKED_ON = range(6, 8)
@@ -171,7 +171,7 @@ def detect(tour: Tour, stamps: np.ndarray | None = None) -> Outcome:
         detector.observe(FrameRecord("tour", f"{number:06d}", stamp=float(stamp)), descriptor)
         for number, (descriptor, stamp) in enumerate(zip(tour.descriptors, when, strict=True))
     ]
-    loops, candidates = loops_of(detector, results), candidates_of(detector, results)
+    loops, candidates = loops_of(detector, results), rows_of_candidates(detector, results)
     score = score_loops(loops, tour.poses, LoopConfig.exclude, METRES)
     return Outcome(tour, results, loops, candidates, score)
 

@@ -79,10 +79,10 @@ def detect_loops(
 
 def loops_of(detector: LoopDetector, results: Sequence[LoopResult]) -> Rows:
     """``(N,)`` int64: the row of the frame to which each frame closes a loop, -1 for none."""
-    return candidates_of(detector, [result for result in results if result.accepted])
+    return rows_of_candidates(detector, [result for result in results if result.accepted])
 
 
-def candidates_of(detector: LoopDetector, results: Sequence[LoopResult]) -> Rows:
+def rows_of_candidates(detector: LoopDetector, results: Sequence[LoopResult]) -> Rows:
     """``(N,)`` int64: the row of each frame's candidate in the results, -1 for none."""
     row = {frame: number for number, frame in enumerate(detector.frames)}
     candidates = np.full(len(row), -1, np.int64)
@@ -112,7 +112,7 @@ def report(
         score = score_loops(loops, detector.poses, exclude, metres, first, sequences)
         summary |= {**score._asdict(), "precision": score.precision, "recall": score.recall}
         judged = [result for result in results if result.confidence is not None]
-        candidates = candidates_of(detector, judged)
+        candidates = rows_of_candidates(detector, judged)
         errors = loop_errors(candidates, detector.poses)
         placed = np.isfinite(errors)
         confidences = np.array([result.confidence for result in judged], float)

@@ -23,7 +23,7 @@ from ..encoding.source import SelectedFrames
 from ..evaluation.measure import TOP
 from ..native.map import DescriptorMap
 from ..recognition.matching import checked_number
-from ..recognition.recognise import Recognised, Steps, recognise, runs
+from ..recognition.recognise import Recognised, Steps, recognise, references_of, runs
 from ..recognition.sequences import MIN_FRAMES
 from ..recognition.sweep import COLUMNS
 from ..recognition.temporal import temporal_sum
@@ -209,10 +209,9 @@ def recognise_in(
 
 def map_of(references: FrameSet, channels: Sequence[Channel]) -> DescriptorMap:
     """The frames of a map by some channels, as they are compared."""
-    town = DescriptorMap([*map(len, runs(references.sequences))])
-    for channel in channels:
-        town.add(channel.name, references.channels[channel.name].numpy(), channel.trust)
-    return town
+    arrays = {channel.name: references.channels[channel.name] for channel in channels}
+    trust = {channel.name: channel.trust for channel in channels}
+    return references_of(arrays, references.sequences, trust)
 
 
 def _cameras(

@@ -89,7 +89,7 @@ def loops(
         say(f"all {count} are in the memory already")
     if picture:
         pairs = stream.loops_of(detector, results)
-        candidates = stream.candidates_of(detector, results)
+        candidates = stream.rows_of_candidates(detector, results)
         sequences = [sequence_of(frame) for frame in detector.frames]
         title = ", ".join(dict.fromkeys(sequences))
         drawn = draw_loops(pairs, detector.poses, title, tolerance_metres, sequences, candidates)
