@@ -76,6 +76,18 @@ def user(tmp_path_factory):
     return built_once(tmp_path_factory, "checkout", _build_programs) / "export"
 
 
+@pytest.fixture(scope="session")
+def shim(tmp_path_factory):
+    """The library that kills a writer or records its calls."""
+    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("g++")
+    if compiler is None:
+        pytest.skip("needs a C compiler")
+    target = tmp_path_factory.mktemp("shim") / "crashing.so"
+    source = ROOT / "tests" / "crashing.c"
+    subprocess.run([compiler, "-shared", "-fPIC", "-xc", source, "-o", target, "-ldl"], check=True)
+    return target
+
+
 def _build_programs(checkout):
     (checkout / "ssrvlad_torch").symlink_to(ROOT / "ssrvlad_torch")
     folder = checkout / "export"

@@ -19,7 +19,7 @@ import networks
 import pytest
 import torch
 import typer
-from built import built_once, page, site, user  # noqa: F401 - fixtures
+from built import built_once, page, shim, site, user  # noqa: F401 - fixtures
 from filelock import FileLock
 from helpers import Maps, write_maps, write_truth, write_two_drives
 from hypothesis import settings

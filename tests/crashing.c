@@ -34,6 +34,13 @@ long calls_left(void) { return __atomic_load_n(&left, __ATOMIC_SEQ_CST); }
 /* Writes a line for every call from here to an open file. */
 void record_to(int descriptor) { record = descriptor; }
 
+/* With this variable, the name of a folder, a line for every call goes to standard error. */
+__attribute__((constructor)) static void record_all(void) {
+    if (!getenv("RECORDED")) return;
+    crash_at(0, getenv("RECORDED"));
+    record_to(2);
+}
+
 static int is_inside(const char *path) {
     return left >= 0 && strncmp(path, folder, strlen(folder)) == 0;
 }

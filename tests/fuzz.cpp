@@ -49,10 +49,9 @@ bool one_in(int64_t count) { return !between(0, count - 1); }
 double fraction() { return static_cast<double>(noise() >> 11) * 0x1p-53; }
 float number() { return static_cast<float>(fraction() * 2 - 1); }
 
-// Calls a function of the core; in one of four calls an allocation fails, and the status is that.
+// Calls a function of the core; where an allocation fails, the status is that.
 template <typename Function>
-bool called(Function function) {
-  const bool fails = !only_bits && one_in(4);
+bool called(Function function, bool fails = !only_bits && one_in(4)) {
   if (fails) allocations_left = between(0, 400);
   const int64_t status = function();
   const bool failed = fails && allocations_left < 0;
@@ -120,6 +119,12 @@ void tracks(const ssrvlad_map *map, const std::vector<ssrvlad_queries> &asked, s
       expect(query == (waiting ? frames - waiting : -1), "the number of a late query", static_cast<double>(query));
       if (waiting) see(decision.scores, steps.top), see(decision.rows, steps.top), see(decision.right, 1);
     }
+  const auto update = [&] { return ssrvlad_tracker_update(other, asked.data(), 1, &decision, &taken, &query); };
+  if (!called(update)) {
+    expect(update() == SSRVLAD_WRONG_ARGUMENT, "no query after memory was short");
+    expect(ssrvlad_tracker_finish(other, &decision, &taken, &query) == SSRVLAD_WRONG_ARGUMENT, "no answer either");
+    expect(ssrvlad_tracker_save(other, nullptr, 0) == -1, "nor a state");
+  }
   for (ssrvlad_tracker *each : {tracker, other, third}) ssrvlad_tracker_free(each);
 }
 
@@ -220,6 +225,10 @@ void closes() {
   ssrvlad_loops *loops = ssrvlad_loops_new(&settings, channels.data(), static_cast<int>(count));
   expect(loops, "a stream");
   if (one_in(4)) expect(!ssrvlad_loops_reserve(loops, between(0, 300)), "memory for frames");
+  const bool runs_short = !only_bits && one_in(4);
+  const void *none[3] = {};
+  const std::uint8_t no_starts = 0;
+  expect(!ssrvlad_loops_extend(loops, none, nullptr, &no_starts, 0), "no frames that are known");
   for (int64_t frame = 0; frame < frames; ++frame) {
     std::vector<const void *> descriptors;
     for (int64_t channel = 0; channel < count; ++channel) {
@@ -230,11 +239,19 @@ void closes() {
     const double stamp = one_in(9) ? NAN : static_cast<double>(frame + 1000 * (frame / 90));
     const std::uint8_t starts = one_in(60);
     ssrvlad_loop loop;
-    if (one_in(12)) {
-      expect(!ssrvlad_loops_extend(loops, descriptors.data(), &stamp, &starts, 1), "a frame that is known");
-    } else {
-      const int threads = static_cast<int>(between(1, 3));
-      expect(!ssrvlad_loops_update(loops, descriptors.data(), nullptr, stamp, starts, threads, &loop), "a frame");
+    const bool is_known = one_in(12);
+    const int threads = static_cast<int>(between(1, 3));
+    const auto take = [&] {
+      return is_known ? ssrvlad_loops_extend(loops, descriptors.data(), &stamp, &starts, 1)
+                      : ssrvlad_loops_update(loops, descriptors.data(), nullptr, stamp, starts, threads, &loop);
+    };
+    if (!called(take, runs_short && one_in(30))) {
+      expect(take() == SSRVLAD_WRONG_ARGUMENT, "no frame after memory was short");
+      std::vector<float> copy(static_cast<std::size_t>(frame * seen[0].size + 1));
+      expect(!ssrvlad_loops_descriptors(loops, 0, 0, ssrvlad_loops_rows(loops), copy.data()), "the frames before");
+      break;
+    }
+    if (!is_known) {
       expect(loop.reason >= 0 && loop.reason <= SSRVLAD_BELOW_THRESHOLD, "a reason", loop.reason);
       expect(loop.candidate >= -1 && loop.candidate < frame, "a candidate", static_cast<double>(loop.candidate));
       expect(loop.probability >= 0 && loop.probability <= 1, "a probability", loop.probability);

@@ -105,6 +105,24 @@ def test_what_cannot_be_made_for_want_of_memory_is_a_memory_error(name, core, mo
         make()
 
 
+def test_a_tracker_that_memory_was_short_for_refuses_all(core):
+    """Of more candidates than there is memory for."""
+    drives, steps = struct("drives")(of(START), 1, 4), struct("steps")(0, 0, 1, 0, MANY)
+    town = ctypes.c_void_p(core.library.ssrvlad_map_new_for(INTERFACE, drives))
+    core.library.ssrvlad_map_add_channel(town, struct("channel")(None, 2, 1, 1, 1, 1.0))
+    tracker = ctypes.c_void_p(core.library.ssrvlad_tracker_new_for(INTERFACE, town, steps))
+    passed = struct("queries")(of(FRAMES), 1)
+    taken, query = struct("taken")(0, 0, of(FOUND)), ctypes.byref(ctypes.c_int64())
+    answer = struct("decision")(of(FOUND)), taken, query
+    update, finish = core.library.ssrvlad_tracker_update, core.library.ssrvlad_tracker_finish
+    assert update(tracker, passed, 1, *answer) == number("NO_MEMORY")
+    assert [update(tracker, passed, 1, *answer), finish(tracker, *answer)] == [-2, -2]
+    assert last_error() == "memory was not enough for an earlier call"
+    assert core.library.ssrvlad_tracker_save(tracker, None, 0) == -1
+    core.library.ssrvlad_tracker_free(tracker)
+    core.library.ssrvlad_map_free(town)
+
+
 @pytest.mark.parametrize(
     ("name", "value", "reason"),
     [

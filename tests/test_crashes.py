@@ -2,7 +2,6 @@
 
 import os
 import resource
-import shutil
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -16,18 +15,6 @@ from ssrvlad_torch import Database
 from ssrvlad_torch.database.exporting import export_database
 
 HERE = Path(__file__).parent
-
-
-@pytest.fixture(scope="session")
-def shim(tmp_path_factory):
-    """The library that kills a writer or records its calls."""
-    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("g++")
-    if compiler is None:
-        pytest.skip("needs a C compiler")
-    target = tmp_path_factory.mktemp("shim") / "crashing.so"
-    source = HERE / "crashing.c"
-    subprocess.run([compiler, "-shared", "-fPIC", "-xc", source, "-o", target, "-ldl"], check=True)
-    return target
 
 
 def crashes(shim, folder, *arguments):

@@ -2,11 +2,15 @@
 conformance/. See `built.user` for what they need."""
 
 import json
+import os
 import re
 import shutil
 import signal
+import socket
 import subprocess
+from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -211,6 +215,27 @@ def stream(tmp_path):
     return folder
 
 
+@pytest.fixture
+def live(build, head, tmp_path):
+    """The program that finds loops, on names that come on standard input, and its memory."""
+
+    @contextmanager
+    def started():
+        memory, pipes = tmp_path / "memory.npy", dict.fromkeys(("stdin", "stdout"), subprocess.PIPE)
+        command = [*map(str, (build / "loops", "--memory", memory, head, "-"))]
+        with subprocess.Popen(command, text=True, **pipes) as process:
+            yield process, memory
+
+    return started
+
+
+def answer(process, path):
+    """Waits for the line of a frame."""
+    process.stdin.write(f"{path}\n")
+    process.stdin.flush()
+    return process.stdout.readline()
+
+
 def test_a_stream_is_saved_in_one_array_and_goes_on(build, drives, head, stream, tmp_path):
     """As one that was not stopped; another model, and what is no such array, are refused."""
     memory, later = tmp_path / "memory.npy", tmp_path / "later"
@@ -257,3 +282,57 @@ def test_a_stream_that_is_interrupted_is_saved(build, head, stream, tmp_path):
     saved = np.load(tmp_path / "memory.npy")["frame"]
     assert [json.loads(line)["frame"].encode() for line in lines] == saved.tolist()
     assert process.returncode == (130 if len(lines) < len(SEEDS) else 0)
+
+
+@pytest.mark.parametrize(("sign", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_stream_that_waits_for_a_name_ends_at_a_signal(live, stream, sign, code):
+    with live() as (process, memory):
+        answer(process, stream / "0.npy")
+        process.send_signal(sign)
+        assert process.wait(9) == code
+    assert np.load(memory)["frame"].tolist() == [b"stream/0"]
+
+
+def test_a_long_stream_is_saved_when_there_are_a_tenth_more_frames(live, stream):
+    """Not after each 500 frames, so that what is written stays in proportion."""
+    with live() as (process, memory):
+        answer(process, stream / "0.npy")
+    saved = np.repeat(np.load(memory), 5999)
+    saved["frame"] = [b"old/%d" % number for number in range(5999)]
+    np.save(memory, saved)
+    with live() as (process, _):
+        for number in (1, 2):
+            answer(process, stream / f"{number}.npy")
+        assert np.load(memory).size == 5999
+    assert np.load(memory).size == 6001
+
+
+def test_a_memory_that_is_there_but_cannot_be_read_is_refused(build, head, stream, monkeypatch):
+    monkeypatch.chdir(stream.parent)
+    with socket.socket(socket.AF_UNIX) as there:
+        there.bind("memory.npy")
+    code, _, (line,) = outcome(build / "loops", "--memory", "memory.npy", head, stream)
+    assert (code, line) == (2, "loops: memory.npy: cannot be read")
+    assert Path("memory.npy").is_socket()
+
+
+def test_where_a_memory_cannot_be_written_the_old_one_stays_alone(build, head, stream, tmp_path):
+    """On a disk that is full for larger files than 9 KiB."""
+    memory, given = tmp_path / "out" / "memory.npy", (head, stream)
+    memory.parent.mkdir()
+    assert outcome(build / "loops", "--memory", memory, *given)[0] == 0
+    before, command = memory.read_bytes(), [build / "loops", "--memory", memory, *given]
+    limit = f"trap '' XFSZ; ulimit -f 9; exec {' '.join(map(str, command))}"
+    assert outcome("bash", "-c", limit) == (2, [], [f"loops: {memory}: cannot be written"])
+    assert [*memory.parent.iterdir()] == [memory] and memory.read_bytes() == before
+
+
+def test_a_memory_is_on_the_disk_before_it_gets_its_name(build, head, stream, shim, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    recorded = {**os.environ, "LD_PRELOAD": str(shim), "RECORDED": str(out)}
+    command = (build / "loops", "--memory", out / "memory.npy", head, stream / "0.npy")
+    code, _, calls = outcome(*command, env=recorded)
+    calls = [re.sub(r"\d+", "N", call) for call in calls if not call.startswith("write ")]
+    expected = ["fsync /memory.npy.N.part", "rename /memory.npy", "fsync "]
+    assert (code, calls) == (0, 2 * expected)

@@ -157,7 +157,7 @@ def test_sanitisers_find_nothing(tmp_path):
     folder = ROOT / "ssrvlad_torch" / "native"
     flags = ["-std=c++17", "-O0", "-ffp-contract=off", "-pthread", f"-I{folder}"]
     flags += ["-Wall", "-Wextra", "-Werror"]
-    checks = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    checks = ["-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
     sources = [ROOT / "tests" / "fuzz.cpp", *folder.glob("*.cpp")]
     subprocess.run(["g++", *flags, *checks, *sources, "-o", tmp_path / "fuzz"], check=True)
     assert outcome(tmp_path / "fuzz", "20", "300") == (0, ["clean"], [])

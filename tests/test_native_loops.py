@@ -2,6 +2,9 @@
 and what is refused."""
 
 import math
+import resource
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loop_streams import LIGHT, PLACES, hog_of, noisy_stream, signs_of, unit, views
 from oracles import loops as oracle
+from test_crashes import limited
 
 from ssrvlad_torch.native.loops import Channel, Loops, Reason
 
@@ -241,3 +245,18 @@ def test_what_is_no_descriptor_is_refused_and_leaves_no_trace(wrong, message):
     with pytest.raises(ValueError, match=message):
         stream.update({"ssr-vlad": PLACES[0], "features": signs_of(PLACES[0])} | wrong)
     assert len(stream) == 0
+
+
+def test_after_memory_was_short_a_stream_keeps_its_frames_and_takes_no_more():
+    """One channel has the frame already, the other has no memory for 1024 such."""
+    stream = Loops([SHAPES, Channel("wide", (1 << 16,))])
+    frame = {"ssr-vlad": PLACES[0], "wide": np.eye(1, 1 << 16, dtype=np.float32)[0]}
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    most = pages * resource.getpagesize() + (1 << 26)
+    with limited(resource.RLIMIT_AS, most), pytest.raises(MemoryError):
+        stream.update(frame)
+    frames = {name: array[None] for name, array in frame.items()}
+    for take in (partial(stream.update, frame), partial(stream.extend, frames, None, np.ones(1))):
+        with pytest.raises(ValueError, match="memory was not enough for an earlier call"):
+            take()
+    assert stream.descriptors("ssr-vlad", 0, len(stream)).shape == (0, 480)

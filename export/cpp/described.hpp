@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstdint>
+#include <new>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -28,6 +29,12 @@ struct Fingerprints {
 };
 
 namespace detail {
+
+// Throws what a return code of the core means: std::bad_alloc, or std::runtime_error, which names `what` was refused.
+inline void require(int status, const std::string& what) {
+  if (status == SSRVLAD_NO_MEMORY) throw std::bad_alloc();
+  if (status != SSRVLAD_OK) throw std::runtime_error(what + ": " + ssrvlad_last_error());
+}
 
 // A channel of a frame: vectors of one or several anchors, or signs.
 struct Channel {

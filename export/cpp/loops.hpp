@@ -7,8 +7,8 @@
 //     loops.save("drive.npy");
 //     auto tomorrow = ssrvlad::Loops::load("drive.npy", place.fingerprints());
 //
-// C++17, over the core alone. Errors are std::runtime_error, or
-// std::bad_alloc. A stream belongs to one thread at a time.
+// C++17, over the core alone. Errors are std::runtime_error, or std::bad_alloc, after which a stream can be saved
+// but takes no more frames. A stream belongs to one thread at a time.
 //
 // A saved stream is one .npy array of records, which NumPy reads as `np.load("drive.npy")["ssr-vlad"]`:
 // of each frame its id `frame`, its `stamp`, float64 seconds, NaN where it is not known, and the
@@ -127,10 +127,10 @@ class Loops {
                            ? ssrvlad_loops_update(stream_.get(), descriptors.data(), anchors.data(),
                                                   stamp, starts, settings_.threads, found)
                            : ssrvlad_loops_extend(stream_.get(), descriptors.data(), &stamp, &starts, 1);
-    if (status != SSRVLAD_OK) throw std::runtime_error("frame " + frame + ": " + ssrvlad_last_error());
+    detail::require(status, "frame " + frame);
     rows_[frame] = frames_.size();
-    frames_.push_back(frame);
     times_.push_back(stamp);
+    frames_.push_back(frame);
     sequence_ = sequence;
     if (!std::isnan(stamp)) stamps_[sequence] = stamp;
   }
@@ -220,7 +220,8 @@ inline void Loops::save(const std::string& path) const {
       for (std::size_t number = 0; number < channels_.size(); ++number) {
         std::vector<char> bytes(channels_[number].bytes());
         const auto at = static_cast<std::int64_t>(row);
-        ssrvlad_loops_descriptors(stream_.get(), static_cast<int>(number), at, at + 1, bytes.data());
+        detail::require(
+            ssrvlad_loops_descriptors(stream_.get(), static_cast<int>(number), at, at + 1, bytes.data()), frames_[row]);
         record.append(bytes.data(), bytes.size());
       }
       file.write(record.data(), static_cast<std::streamsize>(record.size()));

@@ -7,8 +7,8 @@
 //     if (answer->found() && answer->confidence >= 0.9F) std::cout << answer->candidates[0].pose.x;
 //     const auto answers = town.query(sequence);  // all described frames of another one, in order
 //
-// C++17, over the core alone. Errors are std::runtime_error, or
-// std::bad_alloc. Several threads may use one Map at a time, with a Tracker each.
+// C++17, over the core alone. Errors are std::runtime_error, or std::bad_alloc, after which a Tracker is of no use.
+// Several threads may use one Map at a time, with a Tracker each.
 
 #pragma once
 
@@ -148,7 +148,7 @@ class Map {
     ssrvlad_taken taken{};
     taken.weights = weights.data();
     std::int64_t first = 0;
-    require(call(&decision, &taken, &first), "the descriptors");
+    detail::require(call(&decision, &taken, &first), "the descriptors");
     const char* alone = channels_.size() > 1 ? "fused score" : "cosine";
     std::vector<Answer> answers(first < 0 ? 0 : queries);
     for (std::size_t query = 0; query < answers.size(); ++query) {
@@ -174,10 +174,6 @@ class Map {
     steps.delay = delay;
     steps.top = static_cast<std::int64_t>(std::min(top, size()));
     return steps;
-  }
-
-  static void require(int status, const std::string& what) {
-    if (status != SSRVLAD_OK) throw std::runtime_error(what + ": " + ssrvlad_last_error());
   }
 
   // Adds the array of a channel, if both sides have it.
@@ -230,7 +226,7 @@ class Map {
     const ssrvlad_drives drives{starts.data(), static_cast<std::int64_t>(starts.size()),
                                 static_cast<std::int64_t>(frames_.size())};
     map_.reset(ssrvlad_map_new(&drives));
-    require(map_ ? SSRVLAD_OK : SSRVLAD_NO_MEMORY, path);
+    detail::require(map_ ? SSRVLAD_OK : SSRVLAD_WRONG_ARGUMENT, path);
     for (const auto& channel : channels_) {
       const auto& shape = channel.rows.shape;
       ssrvlad_channel rows{};
@@ -240,7 +236,7 @@ class Map {
       rows.height = channel.is_signs() ? shape[2] : 1;
       rows.size = channel.is_signs() ? shape[3] : shape[1];
       rows.trust = detail::trust_of(channel.name);
-      require(ssrvlad_map_add_channel(map_.get(), &rows), channel.file);
+      detail::require(ssrvlad_map_add_channel(map_.get(), &rows), channel.file);
     }
   }
 
@@ -286,7 +282,7 @@ class Tracker {
   explicit Tracker(const Map& map, std::int64_t delay = 0, std::size_t top = 5)
       : map_(map), steps_(map.steps_of(SSRVLAD_ONLINE, delay, top)),
         tracker_(ssrvlad_tracker_new(map.map_.get(), &steps_)) {
-    Map::require(tracker_ ? SSRVLAD_OK : SSRVLAD_NO_MEMORY, "a tracker");
+    detail::require(tracker_ ? SSRVLAD_OK : SSRVLAD_WRONG_ARGUMENT, "a tracker");
   }
 
   // How many frames it has taken: the number that the next one gets.
@@ -313,7 +309,7 @@ class Tracker {
     const auto size = ssrvlad_tracker_save(tracker_.get(), nullptr, 0);
     if (size < 0) throw std::bad_alloc();
     std::vector<char> state(static_cast<std::size_t>(size));
-    ssrvlad_tracker_save(tracker_.get(), state.data(), size);
+    if (ssrvlad_tracker_save(tracker_.get(), state.data(), size) != size) throw std::bad_alloc();
     npy::replace(path, [&](std::ostream& file) { file.write(state.data(), size); });
   }
 
@@ -321,8 +317,8 @@ class Tracker {
   // Any other state is refused, and the tracker is then of no use.
   void load(const std::string& path) {
     npy::of_content(path, [&](const std::string& state) {
-      Map::require(ssrvlad_tracker_load(tracker_.get(), state.data(), static_cast<std::int64_t>(state.size())),
-                   "the state");
+      detail::require(ssrvlad_tracker_load(tracker_.get(), state.data(), static_cast<std::int64_t>(state.size())),
+                      "the state");
     });
   }
 

@@ -8,9 +8,16 @@
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <random>
 #include <stdexcept>
 #include <string>
+#include <system_error>
 #include <vector>
+
+#if !defined(_WIN32)
+#include <fcntl.h>
+#include <unistd.h>
+#endif
 
 namespace npy {
 
@@ -108,15 +115,34 @@ inline void require(const std::string& path) {
   if (!std::ifstream(path)) throw std::runtime_error(path + ": cannot be read");
 }
 
-// Writes a file by a job, whole or not at all.
+// Writes a file, or the names in a folder, to the disk, where the system can be asked to; whether it did.
+inline bool flush([[maybe_unused]] const std::filesystem::path& path) {
+#if defined(_WIN32)
+  return true;
+#else
+  const int descriptor = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  const bool flushed = descriptor >= 0 && ::fsync(descriptor) == 0;
+  if (descriptor >= 0) ::close(descriptor);
+  return flushed;
+#endif
+}
+
+// Writes a file by a job, whole or not at all, also where the power fails.
 template <typename Job>
-void replace(const std::string& path, const Job& job) {
-  const auto temporary = path + ".part";
-  std::ofstream file(temporary, std::ios::binary);
-  job(file);
-  file.close();
-  if (!file) throw std::runtime_error(path + ": cannot be written");
-  std::filesystem::rename(temporary, path);
+void replace(const std::filesystem::path& path, const Job& job) {
+  const std::filesystem::path temporary = path.string() + "." + std::to_string(std::random_device{}()) + ".part";
+  try {
+    std::ofstream file(temporary, std::ios::binary);
+    job(file);
+    file.close();
+    if (!file || !flush(temporary)) throw std::runtime_error(path.string() + ": cannot be written");
+    std::filesystem::rename(temporary, path);
+  } catch (...) {
+    std::error_code absent;
+    std::filesystem::remove(temporary, absent);
+    throw;
+  }
+  flush(std::filesystem::absolute(path).parent_path());
 }
 
 // What a job makes of the content of a file; its error names the file.

@@ -7,6 +7,7 @@
 #include <cstdio>
 #include <iostream>
 #include <map>
+#include <new>
 #include <set>
 #include <stdexcept>
 #include <string>
@@ -111,6 +112,9 @@ int run(Usage usage, int count, char** values, const Job& job) {
     if (std::fflush(stdout) || std::ferror(stdout))
       throw std::runtime_error("standard output cannot be written");
     return code;
+  } catch (const std::bad_alloc&) {
+    note(usage.name + ": not enough memory");
+    return 2;
   } catch (const std::exception& error) {
     note(std::string(usage.name) + ": " + error.what());
     return 2;

@@ -36,6 +36,17 @@ int guarded(Function function) {
   }
 }
 
+// Runs a function that changes an object. Where memory was short the object is not whole, and is changed no more.
+template <typename Object, typename Function>
+int changed(Object *object, Function function) {
+  const int status = guarded([&] {
+    if (object && !object->is_whole) refuse("memory was not enough for an earlier call");
+    function();
+  });
+  if (status == SSRVLAD_NO_MEMORY) object->is_whole = false;
+  return status;
+}
+
 // What a function makes for a program of this interface, or NULL.
 template <typename Function>
 auto made(int program, Function function) -> decltype(function()) {

@@ -605,6 +605,7 @@ using namespace places;
 
 struct ssrvlad_loops : Stream {
   using Stream::Stream;
+  bool is_whole = true;
 };
 
 namespace {
@@ -660,7 +661,7 @@ int64_t ssrvlad_loops_rows(const ssrvlad_loops *loops) { return loops ? loops->r
 
 int ssrvlad_loops_update(ssrvlad_loops *loops, const void *const *descriptors, const int64_t *anchors,
                          double stamp, int starts, int threads, ssrvlad_loop *result) {
-  return guarded([&] {
+  return changed(loops, [&] {
     require(loops && result, "a stream and memory for the result");
     require(fits(*loops, descriptors, anchors),
             "finite vectors of length 1 or 0, from an odd number of anchors, and signs from 1");
@@ -670,7 +671,7 @@ int ssrvlad_loops_update(ssrvlad_loops *loops, const void *const *descriptors, c
 
 int ssrvlad_loops_extend(ssrvlad_loops *loops, const void *const *descriptors, const double *stamps,
                          const uint8_t *starts, int64_t frames) {
-  return guarded([&] {
+  return changed(loops, [&] {
     require(loops && descriptors && starts && frames >= 0, "a stream, descriptors and starts");
     const auto &channels = loops->channels();
     const auto frame = [&](int64_t row) {
@@ -685,7 +686,7 @@ int ssrvlad_loops_extend(ssrvlad_loops *loops, const void *const *descriptors, c
       const double stamp = stamps ? stamps[row] : std::numeric_limits<double>::quiet_NaN();
       loops->extend(frame(row).data(), stamp, starts[row] != 0);
     }
-    if (frames >= loops->rows() / 10) loops->settle();
+    if (frames && frames >= loops->rows() / 10) loops->settle();
   });
 }
 

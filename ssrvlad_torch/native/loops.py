@@ -141,6 +141,7 @@ class Loops:
 
         Raises:
             ValueError: a descriptor has another shape, or cannot be one; the stream is unchanged.
+            MemoryError: memory is short; the stream refuses all further frames.
         """
         arrays, anchors = [], []
         for channel in self.channels:
@@ -162,7 +163,7 @@ class Loops:
             starts: ``(N,)`` whether each is the first of a sequence.
 
         Raises:
-            ValueError: as for `update`.
+            ValueError, MemoryError: as for `update`.
         """
         first = np.ascontiguousarray(starts, np.uint8)
         times = None if stamps is None else np.ascontiguousarray(stamps, np.float64)

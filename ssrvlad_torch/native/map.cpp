@@ -140,6 +140,7 @@ struct ssrvlad_map : Map {
 
 struct ssrvlad_tracker : Tracker {
   using Tracker::Tracker;
+  bool is_whole = true;
 };
 
 namespace {
@@ -280,7 +281,7 @@ int64_t ssrvlad_tracker_count(const ssrvlad_tracker *tracker) { return tracker ?
 
 int ssrvlad_tracker_update(ssrvlad_tracker *tracker, const ssrvlad_queries *queries, int threads,
                            ssrvlad_decision *decision, ssrvlad_taken *taken, int64_t *query) {
-  return guarded([&] {
+  return changed(tracker, [&] {
     require(tracker && queries && decision && taken && query);
     *query = -1;
     tracker->update(queries, nullptr, threads);
@@ -290,7 +291,7 @@ int ssrvlad_tracker_update(ssrvlad_tracker *tracker, const ssrvlad_queries *quer
 
 int ssrvlad_tracker_finish(ssrvlad_tracker *tracker, ssrvlad_decision *decision, ssrvlad_taken *taken,
                            int64_t *query) {
-  return guarded([&] {
+  return changed(tracker, [&] {
     require(tracker && decision && taken && query);
     *query = -1;
     if (tracker->waiting()) *query = give(*tracker, 0, *decision, *taken);
@@ -300,7 +301,7 @@ int ssrvlad_tracker_finish(ssrvlad_tracker *tracker, ssrvlad_decision *decision,
 int64_t ssrvlad_tracker_save(ssrvlad_tracker *tracker, void *state, int64_t size) {
   int64_t bytes = -1;
   guarded([&] {
-    require(tracker && (state || size <= 0));
+    require(tracker && tracker->is_whole && (state || size <= 0), "a tracker that memory was enough for, and room");
     const std::vector<std::uint8_t> &saved = tracker->save();
     bytes = static_cast<int64_t>(saved.size());
     if (bytes <= size) std::copy(saved.begin(), saved.end(), static_cast<std::uint8_t *>(state));
@@ -309,7 +310,7 @@ int64_t ssrvlad_tracker_save(ssrvlad_tracker *tracker, void *state, int64_t size
 }
 
 int ssrvlad_tracker_load(ssrvlad_tracker *tracker, const void *state, int64_t size) {
-  return guarded([&] {
+  return changed(tracker, [&] {
     require(tracker && state && size >= 0);
     tracker->load(static_cast<const std::uint8_t *>(state), size);
   });

@@ -15,7 +15,7 @@
  *     ssrvlad_loops_update(loops, frame, NULL, stamp, 0, 1, &result);
  *
  * A stream belongs to one thread at a time; different streams may be used at the same time. After
- * SSRVLAD_NO_MEMORY a stream can only be freed.
+ * SSRVLAD_NO_MEMORY a stream refuses all further frames; those before can still be copied.
  */
 #ifndef SSRVLAD_LOOPS_H
 #define SSRVLAD_LOOPS_H

@@ -160,8 +160,9 @@ SSRVLAD_API int ssrvlad_tracker_finish(ssrvlad_tracker *tracker, ssrvlad_decisio
                                        int64_t *query);
 
 /* Writes the state of a tracker, if it has at most `size` bytes; returns its number of bytes, -1 if memory is
- * short. `ssrvlad_tracker_load` puts it into a new tracker, of the same map with the same steps; the answers to later
- * queries are the same to the bit. What is no such state is refused, and the tracker can then only be freed. */
+ * short or was before. `ssrvlad_tracker_load` puts it into a new tracker, of the same map with the same steps; the
+ * answers to later queries are the same to the bit. What is no such state is refused, and the tracker can then only
+ * be freed. */
 SSRVLAD_API int64_t ssrvlad_tracker_save(ssrvlad_tracker *tracker, void *state, int64_t size);
 SSRVLAD_API int ssrvlad_tracker_load(ssrvlad_tracker *tracker, const void *state, int64_t size);
 

@@ -74,8 +74,6 @@ void Tracker::update(const ssrvlad_queries *queries, const Size *excluded, int t
   }
   require(anchors_.empty() || anchors == anchors_, "as many anchors of each query");
   const Size around = (delay_ + MODEL.around + 1) * MODEL.streams;
-  require(is_whole_, "a tracker that memory was enough for");
-  is_whole_ = false;
   forget();
   if (channels_.empty()) open(anchors, threads);
   recent_.push(scores_of(queries, excluded, threads), MODEL.min_frames + around);
@@ -96,7 +94,6 @@ void Tracker::update(const ssrvlad_queries *queries, const Size *excluded, int t
   trial_.step(evidence_, query);
   choose_course();
   if (course_) follow(query);
-  is_whole_ = true;
 }
 
 // The likeliest course so far; none if there is hardly any gain.

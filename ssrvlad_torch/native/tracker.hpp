@@ -105,7 +105,7 @@ class Tracker {
   const Map &map_;
   const Listing &listing_;
   Size top_, delay_;
-  bool standardised_, swept_, is_whole_ = true;  // false after memory was short
+  bool standardised_, swept_;
   std::vector<std::uint8_t> allowed_;
   std::vector<Size> anchors_;
   std::vector<std::unique_ptr<LiveComparison>> channels_;
