@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +28,6 @@ from _markdown import (
 )
 from _timing import threads
 from _tours import Tour, Tours, all_tours, head
-from conditions import ROUTES
 from matplotlib.figure import Figure
 
 from ssrvlad_torch import LoopDetector
@@ -207,14 +205,18 @@ def draw_curves(path: Path, curves: Mapping[str, PrecisionRecall]) -> None:
 
 
 def excerpt() -> str:
-    """Recalls of the real drives as one stream, for the guide."""
-    rows = {row["drives"]: row for row in read_csv(DOCS / "evaluation" / "loops-pairs.csv")}
-    lines = [*head_row("", *ROUTES)]
-    for network, written in (("espnetv2", "ESPNetv2"), ("dabnet", "DABNet")):
-        for method, way in product(ONE_STREAM, WAYS[:2]):
-            recalls = (rows[f"{drive}, {network}"][f"{method}: {way}"] for drive in ROUTES)
-            lines.append(row(f"{method} of {written}, {way}", *recalls))
-    return "\n".join(["", *lines, ""])
+    """Mean recalls of the pairs with a lighting change, for the guide."""
+    begins = KINDS["lighting change or other side"]
+    table = read_csv(DOCS / "evaluation" / "loops-pairs.csv")
+    rows = [row for row in table if row["drives"].startswith(begins)]
+    pictures, labels = (
+        [in_one([row[f"{method}: {way}"] for row in rows]).partition(",")[0] for way in WAYS[:2]]
+        for method in reversed(ONE_STREAM)
+    )
+    return (
+        f"{pictures[0]} by features and HOG under one name without stamps, {pictures[1]} an hour "
+        f"later by stamps, and {labels[0]} and {labels[1]} by label maps"
+    )
 
 
 if __name__ == "__main__":
