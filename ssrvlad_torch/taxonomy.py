@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .files import MAX_YAML_BYTES, parse_yaml, read_text
+from .files import MAX_YAML_BYTES, one_line, parse_yaml, read_text
 
 CATEGORIES = (
     "ground",
@@ -179,7 +179,7 @@ def label_space(labels_as: str | os.PathLike[str] | LabelSpace) -> LabelSpace:
         try:
             text = read_text(name, MAX_YAML_BYTES)
         except (OSError, ValueError) as error:
-            raise ValueError(f"cannot read the label space {name}: {error}") from error
+            raise ValueError(f"cannot read the label space {name}: {one_line(error)}") from error
         return _parsed(text, name)
     names = label_space_names()
     if name not in names:

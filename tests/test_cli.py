@@ -19,6 +19,7 @@ from networks import write_photos as write_streets
 from PIL import Image
 
 from ssrvlad_torch import __version__
+from ssrvlad_torch.cli import main as cli
 from ssrvlad_torch.cli.output import print_table
 from ssrvlad_torch.database.database import Database
 
@@ -120,6 +121,11 @@ def test_a_closed_stream_is_the_null_device(database, maps, tmp_path, closed):
     notes = err.read_text().splitlines()
     assert len(notes) == (2 not in closed) and all("Matched as" in line for line in notes)
     assert len(Database.open(database).load()) == 6
+
+
+def test_an_error_of_the_system_is_the_file_and_what_the_system_says():
+    error = PermissionError(errno.EACCES, "Permission denied", "frames/a.png")
+    assert cli._sentence(error) == "frames/a.png: Permission denied"
 
 
 TERMINAL = (

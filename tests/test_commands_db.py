@@ -130,7 +130,7 @@ def test_of_many_frames_that_are_gone_twenty_are_named(encode, maps, tmp_path):
     for path in sorted(maps.iterdir())[1:]:
         path.unlink()
     err = encode(maps, "-o", town)[2]
-    assert len(err) == 21 and err[-1] == "ssrvlad: gone are 2 more"
+    assert len(err) == 21 and err[-1] == "ssrvlad: gone: 2 more"
 
 
 def test_candidates_are_limited_to_a_sequence_or_far_frames(

@@ -19,14 +19,14 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from _described import FEATURES, OURS, Described
-from _markdown import ROOT, Page, head_row, row
+from _markdown import ROOT, Page
+from _scale_tables import Report, drives, label_maps, pictures
 from torch import Tensor
 
 from ssrvlad_torch import Database, SSRVLADConfig, match
@@ -48,11 +48,10 @@ DATA, NETWORK = ROOT.parent / "shared" / "data", "espnetv2"
 REFERENCES = ("uofa/day", "gardens_walk/day_left")
 QUERIES = ("uofa/evening", "gardens_walk/day_right", "gardens_walk/night_right")
 EVERY, AT_ONCE, BLOCK, TOP = 4, 30, 1 << 13, 5
-MOST_IN_MEMORY, BESIDE = 100_000, 2
+MOST_IN_MEMORY = 100_000
 NOISE, PATCHES = 0.15, 4
 
 Channels = dict[str, Tensor]
-Report = dict[str, Any]
 
 
 def main() -> None:
@@ -70,7 +69,7 @@ def main() -> None:
     results = {frames: run_all(frames, options.folder) for frames in sizes}
     page = Page("evaluation/speed.md", options.output)
     page.table("scale-pictures", pictures(results))
-    page.table("scale-drives", drives(results))
+    page.table("scale-drives", drives(results, QUERIES))
     page.table("scale-labels", label_maps(results))
 
 
@@ -348,71 +347,6 @@ STEPS: dict[str, Callable[[int, Path], Report]] = {
     "labels verified": verify_labels,
     "labels searched": search_labels,
 }
-
-
-def pictures(results: dict[int, dict[str, Report]]) -> Iterator[str]:
-    """A row for each number of frames. A place is the same if it is at most `BESIDE` rows away."""
-    yield from head_row(
-        "frames", "CPU ms a picture", "by exact search, from disk",
-        "first answer of exact search", "where that is a real frame", "its place there",
-        "opening, CPU s", "peak GB", "index, CPU s", "index, bytes a frame",
-        "database, bytes a frame",
-    )  # fmt: skip
-    for frames, reports in results.items():
-        found, coarse = reports["alone"], reports["coarse"]
-        first, expected = (np.array(each["first"]) for each in (found, reports["together"]))
-        real = expected >= frames - reports["pictures"]["real"]  # in natural order after all others
-        yield row(
-            f"{frames:,}", f"{1e3 * found['one']:.0f}",
-            f"{1e3 * reports['together']['cpu'] / len(first):.0f}",
-            f"{np.mean(first == expected):.3f}",
-            f"{np.mean((first == expected)[real]):.3f} of {real.sum()}",
-            f"{np.mean(np.abs(first - expected)[real] <= BESIDE):.3f}", f"{found['opening']:.1f}",
-            f"{found['peak'] / 1e9:.2f}", f"{coarse['cpu']:.0f}", f"{coarse['bytes'] / frames:.0f}",
-            f"{reports['pictures']['bytes'] / frames:.0f}",
-        )  # fmt: skip
-
-
-def drives(results: dict[int, dict[str, Report]]) -> Iterator[str]:
-    """A row for each number of frames and drive, with the index and without."""
-    yield from head_row(
-        "frames", "drive", "queries", "queries a second", "by exact search",
-        "first answer of exact search", "its place", "answers among the real frames",
-        "confidence differs by", "peak GB",
-    )  # fmt: skip
-    for frames, reports in results.items():
-        for name in QUERIES:
-            of, known = reports["drives"][name], reports["drives together"].get(name)
-            first = np.array(of["first"])
-            real = np.mean(first >= frames - reports["pictures"]["real"])
-            same = ["", "", "", ""]
-            if known:
-                apart = np.abs(first - np.array(known["first"]))
-                sure = np.abs(np.array(of["confidence"]) - np.array(known["confidence"])).mean()
-                same = [
-                    f"{known['rate']:.1f}", f"{np.mean(apart == 0):.3f}",
-                    f"{np.mean(apart <= BESIDE):.3f}", f"{sure:.3f}",
-                ]  # fmt: skip
-            yield row(
-                f"{frames:,}", name, f"{len(first)}", f"{of['rate']:.1f}", *same[:3], f"{real:.3f}",
-                same[3], f"{reports['drives']['peak'] / 1e9:.2f}",
-            )  # fmt: skip
-
-
-def label_maps(results: dict[int, dict[str, Report]]) -> Iterator[str]:
-    """A row for each number of frames."""
-    yield from head_row(
-        "frames", "written, CPU s", "verified, CPU s", "loaded, CPU s", "query of many, CPU ms",
-        "query alone, CPU ms", "peak GB", "bytes a frame",
-    )  # fmt: skip
-    for frames, reports in results.items():
-        written, searched = reports["labels"], reports["labels searched"]
-        yield row(
-            f"{frames:,}", f"{written['cpu']:.0f}", f"{reports['labels verified']['cpu']:.1f}",
-            f"{searched['loading']:.1f}", f"{1e3 * searched['at once']:.1f}",
-            f"{1e3 * searched['one']:.0f}", f"{searched['peak'] / 1e9:.2f}",
-            f"{written['bytes'] / frames:.0f}",
-        )  # fmt: skip
 
 
 if __name__ == "__main__":

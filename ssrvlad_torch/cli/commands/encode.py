@@ -50,6 +50,8 @@ def encode(
     complete = folders and not source.changed("topic", "fps", "every", "start", "layout")
     if prune and not complete:
         raise ValueError(f"--prune needs {_COMPLETE}")
+    if gpus and engine != "ray":  # before a network is opened, and where nothing is to be encoded
+        raise ValueError("--gpus needs --engine ray and --segmenter")
     town = Map.open(output, preset=preset, channels=channel)
     summary = town.up_to_date(source, complete, prune)
     if summary is None:
@@ -69,5 +71,5 @@ def encode(
     else:
         say(f"{output}: {summary}")
     gone = f"is in {output}, but its file is gone; --prune removes it"
-    note_first(summary.gone, lambda frame: note(f"{frame} {gone}"), "gone are")
+    note_first(summary.gone, lambda frame: note(f"{frame} {gone}"), "gone:")
     finish(summary.skipped, summary.encoded + summary.anew.total() + summary.already_there)
